@@ -19,17 +19,38 @@ stdout:
 
 
 @click.command("help", epilog=EXIT_STATUS)
-@click.argument("topic", nargs=-1, metavar="[COMMAND [SUBCOMMAND] | all | exit]")
+@click.argument("topic", nargs=-1, metavar="[COMMAND [SUBCOMMAND] | TRIP | EMCY | all | exit]")
 @click.pass_context
 def help_(context: click.Context, topic: tuple[str, ...]) -> None:
-    """Explain a COMMAND, list all of them (all), or the exit statuses (exit)."""
+    """Explain a COMMAND, a TRIP or an EMCY code; list all commands (all), or the exit statuses (exit).
+
+    \b
+    Examples:
+      coulombus help run
+      coulombus help tpdo_lost
+      coulombus help 8250h
+    """
     assert context.parent is not None
     if topic == ("all",):
         echo(_all_commands())
     elif topic == ("exit",):
         echo(_exit_statuses())
     else:
-        echo(_explained(context.parent, topic))
+        echo(_of_the_runbook(topic) or _explained(context.parent, topic))
+
+
+def _of_the_runbook(topic: tuple[str, ...]) -> str | None:
+    """Return the text on a trip or an EMCY code. A command's name is the command's, unless it is in capitals."""
+    from coulombus.host.run.runbook import explained, trip_names
+    from coulombus.rigs.errors import nearest
+
+    if len(topic) != 1 or topic[0] in main.commands:
+        return None
+    text = explained(topic[0])
+    near = nearest(topic[0], trip_names())
+    if text is None and near and ("_" in topic[0] or not nearest(topic[0], main.commands)):
+        raise click.UsageError(f"No command, trip or EMCY code '{topic[0]}'{near}")
+    return text
 
 
 def _all_commands() -> str:

@@ -129,7 +129,7 @@ def serve_page(
     from coulombus.host.run.last_word import last_word
     from coulombus.host.run.law_curve import law_curve
     from coulombus.host.run.law_ring import law_ring
-    from coulombus.host.run.runbook import anchor, entry
+    from coulombus.host.run.runbook import advice, entry
     from coulombus.wire.address import socket_path
 
     with tornado_needed():
@@ -141,7 +141,7 @@ def serve_page(
     door = HostDoor(
         status=lambda: ask_status(address, 1.0),
         stop=lambda: stop_host(address),
-        advice=anchor,
+        advice=advice,
         change=lambda order: ask_change(address, order, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,

@@ -77,7 +77,7 @@ def run_command(
     with errors():
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
-        from coulombus.host.run.runbook import anchor  # before the run: at its end files can no longer be opened
+        from coulombus.host.run.runbook import advice  # before the run: at its end files can no longer be opened
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.overrides import shared_machine as wider
         from coulombus.rigs.rig import load_rig
@@ -124,7 +124,7 @@ def run_command(
                 world=world,
             )
         with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
-            _say_what_to_do(result.trip, anchor, shared_machine)
+            _say_what_to_do(result.trip, advice, shared_machine)
             if as_json:
                 print_json(result.as_dict())
             else:
@@ -140,15 +140,15 @@ def _state(axes: list[dict[str, Any]]) -> str:
     return f"{shown}, lost {sum(axis['lost_pdos'] for axis in axes)}"
 
 
-def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:
-    """After a trip, print the place of its causes (`anchor`); for missing TPDOs, suggest --shared-machine first."""
+def _say_what_to_do(trip: str | None, advice: Callable[[str], str | None], shared_machine: bool) -> None:
+    """After a trip, print the command that explains it (`advice`); for missing TPDOs, suggest --shared-machine first."""
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:
         text = "a busy machine may have stalled for that long: --shared-machine widens the limits"
         say(f"coulombus: {text} (docs/realtime.md)")
-    if place := anchor(trip):
-        say(f"coulombus: likely causes, and what to do: {place}")
+    if command := advice(trip):
+        say(f"coulombus: likely causes, and what to do: {command}")
 
 
 def _run_buses(
@@ -157,7 +157,7 @@ def _run_buses(
     """Run the host on several buses, a process each, and exit with their combined status."""
     from coulombus.host.run.buses import merged, path_on, supervise
     from coulombus.host.run.result import RunResult
-    from coulombus.host.run.runbook import anchor
+    from coulombus.host.run.runbook import advice
 
     def arguments(channel: str) -> list[str]:
         there = ((option, path_on(path, channel)) for option, path in files.items())
@@ -167,7 +167,7 @@ def _run_buses(
     buses = supervise(list(addresses), arguments)
     whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
     with verdict(whole["exit_status"]):
-        _say_what_to_do(whole.get("trip"), anchor, "--shared-machine" in words)
+        _say_what_to_do(whole.get("trip"), advice, "--shared-machine" in words)
         if as_json:
             print_json(whole)
         elif "mode" in whole:

@@ -155,7 +155,7 @@ def test_a_trip_is_told_where_no_file_can_be_opened_for_its_table(monkeypatch, c
     assert ended.value.code == 7
     told = " ".join(capsys.readouterr().err.split())
     assert f"cannot be printed: Too many open files coulombus: trip: {trip}" in told
-    assert "docs/runbook.md#host" in told
+    assert "coulombus help HOST" in told
 
 
 @pytest.mark.parametrize("words", ["--help", "run --help", "--version"])

@@ -16,7 +16,7 @@ from coulombus.eds.cia402 import diagram as power_states
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.transitions import TRANSITIONS as TABLE_OF_PHASES
 from coulombus.host.cycle.transitions import diagram as phases
-from coulombus.host.run.runbook import anchor
+from coulombus.host.run.runbook import advice, explained
 from coulombus.node.emcy import CAUSES
 from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.rigs.rig import load_rig
@@ -130,20 +130,29 @@ def test_the_runbook_has_each_trip_each_emcy_and_each_exit_status():
     text = text_of("docs/runbook.md")
     trips = [trip.name for trip in Trip if trip is not Trip.NONE]
     assert sorted(re.findall(r"^### (\w+)$", text, re.M)) == sorted(trips)
-    assert not [name for name in trips if anchor(f"{name}: why") != f"docs/runbook.md#{name.lower()}"]
+    assert not [name for name in trips if advice(f"{name}: why") != f"coulombus help {name}"]
     assert {name.lower() for name in trips} <= anchors(text)
     assert not [f"{cause.code:04X}h" for cause in CAUSES if cause.name and f"| {cause.code:04X}h |" not in text]
     assert not [status for status in STATUSES if f"| {status} | " not in text]
     for name in trips:  # a heading alone helps nobody
         section = text.partition(f"### {name}\n")[2].partition("\n#")[0]
         assert len(section.split()) >= 8, name
+        assert re.findall(r"^(\d)\. \S", section, re.M) == ["1", "2", "3"], name
+        assert re.search(r"^Do not \S", section, re.M), name
+        shown = explained(name.lower())
+        assert shown == explained(name)
+        assert len(shown.splitlines()) <= 24, name  # a screen
+        assert max(map(len, shown.splitlines())) <= 80, name
+        assert not re.search(r"[*`]|\]\(", shown), name
+    for cause in CAUSES:
+        assert f"{cause.code:04X}h" in explained(f"{cause.code:04x}h")
 
 
 def test_the_cause_is_looked_up_before_what_it_led_to():
-    assert anchor("axis left: OTHER_AXIS (TPDO_LOST on axis right)") == "docs/runbook.md#tpdo_lost"
-    assert anchor("axis left: OTHER_AXIS") == "docs/runbook.md#other_axis"
-    assert anchor("HOST: OSError: x") == "docs/runbook.md#host"
-    assert anchor("arming refused: the space bar was not held") is None
+    assert advice("axis left: OTHER_AXIS (TPDO_LOST on axis right)") == "coulombus help TPDO_LOST"
+    assert advice("axis left: OTHER_AXIS") == "coulombus help OTHER_AXIS"
+    assert advice("HOST: OSError: x") == "coulombus help HOST"
+    assert advice("arming refused: the space bar was not held") is None
 
 
 def test_every_limit_is_in_the_safety_document():

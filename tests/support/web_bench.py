@@ -70,7 +70,7 @@ class Door:
         self.door = HostDoor(
             status=self.status,
             stop=self.stop,
-            advice=lambda trip: f"docs/runbook.md#{trip.split(':')[0].lower()}",
+            advice=lambda trip: f"coulombus help {trip.split(':')[0]}",
             change=self.change,
             mark=self.mark,
             curve=law_curve,

@@ -43,7 +43,7 @@ class HostDoor:
 
     Attributes
     ----------
-    advice : the runbook's place for a trip's text
+    advice : the command that explains a trip's text
     ring : force of the law of an arm over the directions, x and y, in a mode with the present live
         parameters; called in the same thread
     curve : friction of an axis' law over velocities, in a mode with the present live parameters;

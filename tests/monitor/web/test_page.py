@@ -23,7 +23,7 @@ def capture():
 
 
 def view():
-    return HostView(lambda trip: "docs/runbook.md#speed" if "SPEED" in trip else None)
+    return HostView(lambda trip: "coulombus help SPEED" if "SPEED" in trip else None)
 
 
 def test_signals_are_kept_in_si_units(capture):
@@ -79,7 +79,7 @@ def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
     host.tell({**STATUS, "trip": "SPEED: too fast"})
     host.tell(None)
     state = host.as_dict()
-    assert (state["runs"], state["trip"], state["advice"]) == (False, "SPEED: too fast", "docs/runbook.md#speed")
+    assert (state["runs"], state["trip"], state["advice"]) == (False, "SPEED: too fast", "coulombus help SPEED")
     host.tell(STATUS)
     assert host.as_dict()["trip"] == ""
 
