@@ -15,7 +15,12 @@ __all__ = ["host_addresses"]
 
 
 def host_addresses(
-    rig_name: str, bus_names: Sequence[str] = (), channel: str | None = None, *, every: bool | None = None
+    rig_name: str,
+    bus_names: Sequence[str] = (),
+    channel: str | None = None,
+    *,
+    every: bool | None = None,
+    ended: bool = False,
 ) -> list[BusAddress]:
     """Return the buses of the selected hosts.
 
@@ -25,6 +30,7 @@ def host_addresses(
     Parameters
     ----------
     every : the option ``--all``; None: the verb has no such option
+    ended : if none runs, the bus of the host that ended last counts before those of the default rig
 
     Raises
     ------
@@ -32,6 +38,7 @@ def host_addresses(
         several hosts run, none was named, and `every` was not given
     """
     from coulombus.host.run.control_socket import hosts_here
+    from coulombus.host.run.last_word import newest_word
     from coulombus.rigs.buses import bus_addresses
     from coulombus.rigs.rig import load_rig
     from coulombus.wire.address import parse_address
@@ -45,4 +52,6 @@ def host_addresses(
         names = ", ".join(map(str, running))
         others = "" if every is None else ", or stop them with --all"
         raise click.UsageError(f"{len(running)} hosts run on this machine: {names}; name one with --bus{others}")
+    if ended and default and channel is None and not running and (last := newest_word()):
+        return [last[0]]
     return running or list(bus_addresses(rig, (), channel).values())

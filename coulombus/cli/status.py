@@ -24,8 +24,9 @@ __all__ = ["status"]
 def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
     """Ask the host that runs on a bus what it is doing: phase, torques, lateness, counters.
 
-    The host answers beside its data plane, whose cycle is not disturbed. Ends with 4
-    where no host runs, or none answers; then it says when and why the last one ended. For a line ten times a second, start the host with
+    The host answers beside its data plane, whose cycle is not disturbed. Ends with 4 where no host
+    runs, or none answers; then it says when and why the last one ended. Without --bus and --rig that
+    is the last host of this user on whatever bus. For a line ten times a second, start the host with
     `coulombus run --status SOCKET` and read that socket.
 
     \b
@@ -35,7 +36,7 @@ def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
       socat UNIX-CONNECT:/tmp/rig.status -
     """
     with errors():
-        addresses = host_addresses(rig_name, bus_names)
+        addresses = host_addresses(rig_name, bus_names, ended=True)
         states = [_state(address) for address in addresses]
         with verdict(0):
             if as_json:
@@ -55,6 +56,7 @@ def _state(address: BusAddress) -> dict[str, Any]:
     """
     from coulombus.host.run.control_socket import NoHost, ask_status, host_runs
     from coulombus.host.run.last_word import ending, last_word
+    from coulombus.host.run.runbook import advice
 
     try:
         return ask_status(address)
@@ -63,7 +65,9 @@ def _state(address: BusAddress) -> dict[str, Any]:
         if word is None:
             raise
         counts = f"{word['lost_pdos']} PDOs lost, {word['missed_deadlines']} deadlines missed"
-        raise NoHost(f"{error}; the last one ended {ending(word)} ({word['cycles']} cycles, {counts})") from None
+        text = f"{error}; the last one ended {ending(word)} ({word['cycles']} cycles, {counts})"
+        command = advice(word["trip"] or "")
+        raise NoHost(f"{text}; what to do: {command}" if command else text) from None
 
 
 def _tell(state: dict[str, Any]) -> None:

@@ -30,6 +30,7 @@ __all__ = [
     "NotChanged",
     "NotMarked",
     "StopRequest",
+    "address_of",
     "ask_change",
     "ask_mark",
     "ask_status",
@@ -109,10 +110,16 @@ def host_runs(address: BusAddress) -> bool:
 def hosts_here() -> list[BusAddress]:
     """Return the buses on which a host of this user and machine runs; sends no request."""
     names = (name.removesuffix(HOST_SUFFIX) for name in socket_names() if name.endswith(HOST_SUFFIX))
-    return [address for address in map(_address_of, names) if host_runs(address)]
+    return [address for address in map(address_of, names) if host_runs(address)]
 
 
-def _address_of(name: str) -> BusAddress:
+def _no_host(address: BusAddress) -> str:
+    """Return that no host runs on a bus, and on which others one does."""
+    others = ", ".join(map(str, hosts_here()))
+    return f"no host runs on bus {address}" + (f"; on this machine one runs on {others}" if others else "")
+
+
+def address_of(name: str) -> BusAddress:
     """Return the address whose `control_path` has this name."""
     with suppress(AddressError):
         address = parse_address(name.replace("-", ":", 1))
@@ -280,7 +287,7 @@ class StopRequest:
         except TimeoutError:
             self._fail(f"does not accept a connection within {self._let_in_s:g} s: it no longer serves its socket")
         except (FileNotFoundError, ConnectionRefusedError):
-            self._failure = f"no host runs on bus {address}"
+            self._failure = _no_host(address)
         except OSError as error:
             self._fail(f"cannot be asked to stop: {error.strerror or error}")
 
@@ -421,7 +428,7 @@ def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any
             asker.settimeout(timeout_s)
             answer = json.loads(asker.recv(MESSAGE_BYTES))
         except (FileNotFoundError, ConnectionRefusedError):
-            raise NoHost(f"no host runs on bus {address}") from None
+            raise NoHost(_no_host(address)) from None
         except (BlockingIOError, TimeoutError):
             text = f"the host on bus {address} gives no answer: it starts, or it ends"
             raise NoHost(text) from None

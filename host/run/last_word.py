@@ -15,11 +15,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from coulombus.host.run.control_socket import control_path
+from coulombus.host.run.control_socket import address_of, control_path
 from coulombus.recording.wall_clock import utc
-from coulombus.wire.address import BusAddress
+from coulombus.wire.address import HOST_SUFFIX, BusAddress
 
-__all__ = ["ending", "forget_word", "last_word", "leave_word"]
+__all__ = ["ending", "forget_word", "last_word", "leave_word", "newest_word"]
 
 SUFFIX = ".last"
 MOST_BYTES = 1 << 16
@@ -86,6 +86,16 @@ def last_word(address: BusAddress) -> dict[str, Any] | None:
         return None
     right = isinstance(word, dict) and all(isinstance(word.get(name), kinds) for name, kinds in KINDS.items())
     return word if right else None
+
+
+def newest_word() -> tuple[BusAddress, dict[str, Any]] | None:
+    """Return the bus and the report of the host of this user that ended last; None if there is no readable one."""
+    with suppress(Exception):  # the folder is gone, or another user's
+        folder = _path(BusAddress("coulombus", "any")).parent
+        names = [path.name.removesuffix(f"{HOST_SUFFIX}{SUFFIX}") for path in folder.glob(f"*{HOST_SUFFIX}{SUFFIX}")]
+        words = [(address, word) for address in map(address_of, names) if (word := last_word(address))]
+        return max(words, key=lambda found: str(found[1]["ended"]), default=None)
+    return None
 
 
 def ending(word: Mapping[str, Any]) -> str:

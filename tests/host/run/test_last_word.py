@@ -8,8 +8,9 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.cli.watch import host_line
+from coulombus.host.run import control_socket
 from coulombus.host.run.control_socket import control_path
-from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word
+from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word, newest_word
 from coulombus.wire.address import parse_address
 
 BUS = parse_address("coulombus:word")
@@ -87,6 +88,35 @@ def test_status_and_watch_tell_it():
     assert done.exit_code == 4
     for part in ("no host runs", "trip SPEED: too fast", "812 cycles", "95 PDOs lost", "431 deadlines missed"):
         assert part in done.output, part
+    assert "what to do: coulombus help SPEED" in " ".join(done.output.split())
     line = host_line(BUS)
     assert line.state == "tripped"
     assert "trip SPEED: too fast" in line.text
+
+
+def test_status_without_a_bus_tells_the_end_of_the_host_that_ended_last():
+    assert newest_word() is None
+    assert "no host runs on bus coulombus:bench" in CliRunner().invoke(main, ["status"]).output
+    earlier, later = BUS, parse_address("socketcan:can7")
+    for second, (bus, trip) in enumerate(((earlier, None), (later, "NMT_STATE: a node left"))):
+        leave_word([bus], OUTCOME | {"trip": trip})
+        file = control_path(bus).with_name(control_path(bus).name + ".last")
+        word = json.loads(file.read_text())
+        file.write_text(json.dumps(word | {"ended": f"2026-11-29T10:00:0{second}.000000Z"}))
+    assert newest_word()[0] == later
+    done = CliRunner().invoke(main, ["status"])
+    assert done.exit_code == 4
+    told = " ".join(done.output.split())
+    assert "no host runs on bus socketcan:can7" in told
+    assert "trip NMT_STATE: a node left" in told
+    assert "coulombus help NMT_STATE" in told
+    assert "no host runs on bus coulombus:bench" in CliRunner().invoke(main, ["status", "--rig", "bench"]).output
+
+
+def test_a_stop_that_finds_no_host_says_where_one_runs(monkeypatch):
+    monkeypatch.setattr(control_socket, "hosts_here", lambda: [parse_address("coulombus:rehearsal")])
+    done = CliRunner().invoke(main, ["stop", "--bus", "coulombus:none"])
+    assert done.exit_code == 4
+    assert "no host runs on bus coulombus:none; on this machine one runs on coulombus:rehearsal" in " ".join(
+        done.output.split()
+    )
