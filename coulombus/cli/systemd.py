@@ -21,6 +21,7 @@ __all__ = ["systemd"]
 @bus_option
 @mode_option
 @click.option("--user", is_flag=True, help="For your own service manager (systemctl --user), not for the system's.")
+@click.option("--bridge", is_flag=True, help="Join a virtual bus with can0: with a bridge and that interface's files.")
 @click.option(
     "-o",
     "--out",
@@ -32,9 +33,11 @@ __all__ = ["systemd"]
     help="Where the files are written.",
 )
 @force_option
-def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: Path, overwrite: bool) -> None:
-    """Write systemd units for host, simulation and bridge, and what belongs to them: user, limits,
-    device rules, the CAN interface.
+def systemd(
+    rig_name: str, bus_name: str | None, mode: str, user: bool, bridge: bool, folder: Path, overwrite: bool
+) -> None:
+    """Write systemd units for host, simulation and bridge, and what belongs to them: user, limits, and
+    for a CAN interface device rules and its set-up.
 
     Nothing is installed: INSTALL.txt says how. The host's unit is never restarted, as nothing
     re-arms by itself after a trip; its watchdog is fed only while the cycle goes on. A file that
@@ -46,6 +49,7 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
       coulombus systemd --user
     """
     with errors():
+        from coulombus.host.run.preflight import check_no_guess, check_no_rehearsal
         from coulombus.host.service.units import Service, files
         from coulombus.recording.output_file import check as check_output
         from coulombus.recording.output_file import new_file
@@ -58,6 +62,8 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
             text = f"{rig_name}: a unit runs one bus, and the rig has the buses {', '.join(rig.channels)}"
             raise click.BadParameter(text, param_hint="--rig")
         on_bus, address = one_bus(rig, bus_name, None)
+        check_no_rehearsal(rig, address)
+        check_no_guess(rig, address)
         script = shutil.which("coulombus", path=str(Path(sys.prefix, "bin")))
         limits = [axis.limits for axis in on_bus.axes]
         service = Service(
@@ -68,6 +74,7 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
             bitrate_bit_s=on_bus.bus.bitrate_bit_s,
             ending_s=max(limit.safe_hold_s + limit.safe_ramp_s for limit in limits),
             user=user,
+            bridge=bridge,
         )
         made = {folder / name: text for name, text in files(service).items()}
         folder.mkdir(parents=True, exist_ok=True)

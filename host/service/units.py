@@ -74,6 +74,7 @@ class Service:
     bitrate_bit_s : bit rate of the CAN interface
     ending_s : longest time of the brake's hold and ramp
     user : whether the units are for a user's service manager, not the system's
+    bridge : whether a virtual bus is joined with a CAN interface
     """
 
     program: Sequence[str]
@@ -83,6 +84,12 @@ class Service:
     bitrate_bit_s: int
     ending_s: float
     user: bool = False
+    bridge: bool = False
+
+    @property
+    def on_interface(self) -> bool:
+        """Whether the host or the bridge is on a CAN interface."""
+        return self.bridge or parse_address(self.bus).is_interface
 
     @property
     def interface(self) -> str:
@@ -93,6 +100,10 @@ class Service:
         address = parse_address(self.bus)
         return interface_name(address.name) if address.is_interface else "can0"
 
+    def typed(self, *words: str) -> str:
+        """Return a command as a person types it: with the program's path, which sudo's PATH does not have."""
+        return " ".join(map(shell, (*self.program, *words)))
+
     def command(self, *words: str) -> str:
         """Return a value of ExecStart."""
         program, *first = self.program
@@ -100,26 +111,38 @@ class Service:
 
 
 def files(service: Service) -> dict[str, str]:
-    """Return the files by their names; files other than units only for the system's manager."""
-    units = {
-        "coulombus-host.service": _host(service),
-        "coulombus-sim.service": _sim(service),
-        "coulombus-bridge.service": _bridge(service),
-    }
-    if service.user:
-        return units | {"INSTALL.txt": USER_INSTALL}
+    """Return the files by their names; files other than units only for the system's manager, and those of a CAN
+    interface only where one is used.
+    """
     name = service.interface
-    irqs = shell(f"^irq/[0-9]+-{extended_regex(name)}$")
-    return units | {
+    units = {"coulombus-host.service": _host(service), "coulombus-sim.service": _sim(service)}
+    if service.on_interface:
+        units["coulombus-bridge.service"] = _bridge(service)
+    if service.user:
+        return units | {"INSTALL.txt": USER_INSTALL.format(doctor=service.typed("doctor"))}
+    known = {
         "coulombus-sysusers.conf": SYSUSERS,
         "coulombus-tmpfiles.conf": TMPFILES,
         "90-coulombus-limits.conf": LIMITS,
-        "90-coulombus.rules": RULES,
-        f"80-coulombus-{name}.network": _network(name, service.bitrate_bit_s),
-        f"80-coulombus-{name}.link": LINK.format(name=name),
-        f"{name}-up.sh": UP.format(name=shell(name), rate=service.bitrate_bit_s, irqs=irqs),
-        "INSTALL.txt": INSTALL.format(name=name),
     }
+    stop = f"sudo -u {USER} env XDG_RUNTIME_DIR=/run/coulombus {service.typed('stop')}"
+    if not service.on_interface:
+        return (
+            units | known | {"INSTALL.txt": INSTALL.format(devices="", start="coulombus-sim coulombus-host", stop=stop)}
+        )
+    irqs = shell(f"^irq/[0-9]+-{extended_regex(name)}$")
+    devices = DEVICES.format(name=name)
+    return (
+        units
+        | known
+        | {
+            "90-coulombus.rules": RULES,
+            f"80-coulombus-{name}.network": _network(name, service.bitrate_bit_s),
+            f"80-coulombus-{name}.link": LINK.format(name=name),
+            f"{name}-up.sh": UP.format(name=shell(name), rate=service.bitrate_bit_s, irqs=irqs),
+            "INSTALL.txt": INSTALL.format(devices=devices, start="coulombus-host", stop=stop),
+        }
+    )
 
 
 def _unit(
@@ -267,15 +290,17 @@ Read each file first; then, as root in this folder:
     cp coulombus-sysusers.conf /etc/sysusers.d/coulombus.conf && systemd-sysusers
     cp coulombus-tmpfiles.conf /etc/tmpfiles.d/coulombus.conf && systemd-tmpfiles --create
     cp 90-coulombus-limits.conf /etc/security/limits.d/
+{devices}    cp *.service /etc/systemd/system/ && systemctl daemon-reload
+    systemctl start {start}  # a person does this; the host is never enabled
+
+To stop the running host, as its user:
+
+    {stop}
+"""
+DEVICES = """\
     cp 90-coulombus.rules /etc/udev/rules.d/ && udevadm control --reload && udevadm trigger
     cp 80-coulombus-{name}.network 80-coulombus-{name}.link /etc/systemd/network/
     networkctl reload                    # or, without systemd-networkd: sh {name}-up.sh
-    cp *.service /etc/systemd/system/ && systemctl daemon-reload
-    systemctl start coulombus-host       # a person does this; it is never enabled
-
-To ask the running host, as its user:
-
-    sudo -u coulombus env XDG_RUNTIME_DIR=/run/coulombus coulombus stop
 """
 USER_INSTALL = """\
 Read each file first; then:
@@ -283,5 +308,7 @@ Read each file first; then:
     cp *.service ~/.config/systemd/user/ && systemctl --user daemon-reload
     systemctl --user start coulombus-sim coulombus-host
 
-Real-time priority and locked memory are limited to what this user has: `coulombus doctor`.
+Real-time priority and locked memory are limited to what this user has:
+
+    {doctor}
 """

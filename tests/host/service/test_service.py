@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.host.service.units import Service, files
 from coulombus.kernels.decorator import JIT_DISABLED
-from coulombus.rigs.rig import load_rig
+from coulombus.rigs.rig import load_rig, packaged_rig
 from real_bench import children, host, result, simulation
 from systemd_syntax import systemd_words
 
@@ -28,6 +28,11 @@ EXPOSURE = 2.0
 def service(**more):
     known = {"program": ("/bin/true",), "rig": "bench", "bus": "socketcan:can0", "mode": "hybrid"}
     return Service(**(known | {"bitrate_bit_s": 500_000, "ending_s": 7.0} | more))
+
+
+def typed(install):
+    """Return the commands of an INSTALL.txt."""
+    return [line.strip().partition("  #")[0] for line in install.splitlines() if line.startswith("    ")]
 
 
 def values(unit, key):
@@ -153,7 +158,7 @@ def test_no_file_is_replaced_and_then_none_is_written(tmp_path):
     assert mine.read_text() == "mine"
     assert call("--force").exit_code == 0
     assert "ExecStart" in mine.read_text()
-    assert len(list((tmp_path / "units").glob("*.service"))) == 3
+    assert len(list((tmp_path / "units").glob("*.service"))) == 2
 
 
 def test_a_rig_on_several_buses_is_refused(tmp_path):
@@ -197,3 +202,49 @@ def test_a_host_gives_signs_of_life_while_its_cycle_goes_on(tmp_path):
             assert data["trip"].endswith("(it is stopped, as by SIGSTOP)")
         assert not [t for t, message in late if message == b"WATCHDOG=1" and t > 0.5]
         assert any(message.startswith(b"STOPPING=1") for _, message in late)
+
+
+@pytest.mark.parametrize("user", [False, True])
+@pytest.mark.parametrize("bus", ["socketcan:can0", "coulombus:bench"])
+def test_the_programs_of_install_txt_are_found_under_a_bare_path(tmp_path, user, bus):
+    """sudo's PATH has no virtual environment: what is typed has the program's path, quoted where it must be."""
+    program = tmp_path / "an environment" / "coulombus"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\necho found $*\n")
+    program.chmod(0o755)
+    lines = typed(files(service(user=user, bus=bus, program=(str(program),)))["INSTALL.txt"])
+    ours = [line.removeprefix("sudo -u coulombus ") for line in lines if "environment/coulombus" in line]
+    assert len(ours) == 1
+    done = subprocess.run(["/bin/sh", "-c", ours[0]], env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "found doctor\n" if user else "found stop\n"), done.stderr
+
+
+@pytest.mark.parametrize("user", [False, True])
+def test_what_is_copied_is_there_and_a_virtual_bus_has_no_files_of_an_interface(user):
+    interface = {"coulombus-bridge.service"} | (set() if user else {
+        "90-coulombus.rules", "80-coulombus-can0.network", "80-coulombus-can0.link", "can0-up.sh",
+    })  # fmt: skip
+    made = {
+        kind: files(service(user=user, **more))
+        for kind, more in (
+            ("interface", {}), ("virtual", {"bus": "coulombus:bench"}), ("bridge", {"bus": "coulombus:bench", "bridge": True}),
+        )
+    }  # fmt: skip
+    assert set(made["interface"]) == set(made["bridge"])
+    assert set(made["bridge"]) - set(made["virtual"]) == interface
+    for kind in made.values():
+        copied = re.findall(r"(?<=cp )[\w.-]+\.\w+|(?<=sh )[\w.-]+\.sh|80-\S+\.link", kind["INSTALL.txt"])
+        assert set(copied) <= set(kind)
+        assert set(kind) - set(copied) <= {name for name in kind if name.endswith(".service")} | {"INSTALL.txt"}
+
+
+def test_a_rig_that_run_would_refuse_gets_no_units(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_text(packaged_rig("bench").read_text() + "\n# REHEARSAL\n")
+    last = len(rig.read_text().splitlines())
+    units = tmp_path / "units"
+    done = CliRunner().invoke(main, ["systemd", "--rig", str(rig), "--bus", "socketcan:can0", "-o", str(units)])
+    assert done.exit_code == 3
+    assert f"rig.toml:{last}: still marked '# REHEARSAL'" in " ".join(done.output.split())
+    assert not units.exists()
+    assert CliRunner().invoke(main, ["systemd", "--rig", str(rig), "-o", str(units)]).exit_code == 0
