@@ -6,8 +6,8 @@ import json
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -51,13 +51,14 @@ class PageOptions:
             raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
 
     @contextmanager
-    def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[None]:
+    def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[Callable[[float], None]]:
         """Serve the page of a bus in a separate process during the block, if requested.
 
         The process always ends with this one; its errors do not affect this one. Its address is printed to stderr.
+        What is yielded waits for some seconds, in which the page is served.
         """
         if not self.web:
-            yield
+            yield lambda seconds: None
             return
         words = ["--rig", chosen.rig_name, "--bus", str(address), "--web-host", self.web_host]
         words += ["--web-port", str(self.web_port), *([] if chosen.channel is None else ["--channel", chosen.channel])]
@@ -69,10 +70,19 @@ class PageOptions:
         except OSError as error:
             say(f"coulombus: the page cannot be served: {error.strerror or error}")
         try:
-            yield
+            yield lambda seconds: None if child is None else _stay(child, seconds)
         finally:
             if child is not None:
                 _end(child)
+
+
+def _stay(child: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait while the page is served, until its process ends or Ctrl-C."""
+    if seconds <= 0.0 or child.poll() is not None:
+        return
+    say(f"coulombus: the page stays for {seconds:g} s; Ctrl-C ends it")
+    with suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
+        child.wait(seconds)
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["run_command"]
 
+PAGE_AFTER_TRIP_S = 60.0
+
 
 @click.command("run", epilog=EXIT_STATUS)
 @buses_options
@@ -47,6 +50,13 @@ __all__ = ["run_command"]
 )
 @click.option("--world", is_flag=True, help="Let another program say what the hand meets (docs/worlds.md).")
 @page_options
+@click.option(
+    "--web-after",
+    type=SECONDS,
+    default=None,
+    metavar="S",
+    help=f"Keep the page after the host's end.  [default: {PAGE_AFTER_TRIP_S:g} after a trip, else 0]",
+)
 @json_option
 def run_command(
     chosen: BusesOptions,
@@ -57,6 +67,7 @@ def run_command(
     cpu: int | None,
     world: bool,
     page: PageOptions,
+    web_after: float | None,
     as_json: bool,
 ) -> None:
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones
@@ -74,6 +85,8 @@ def run_command(
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
       coulombus run --record runs --rotate 1h --keep 20GB --meta subject=S01
     """
+    if web_after is not None and not page.web:
+        raise click.UsageError("--web-after is of the page: give --web, too")
     with errors():
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
@@ -111,24 +124,27 @@ def run_command(
         address = next(iter(addresses.values()))
         if not as_json and in_foreground():
             say("q or Escape stops safely; 1 to 9 mark the recording")
-        with page.beside(chosen, address), Signals() as signals, progress(not as_json, width=10) as report:
-            result = real_run(
-                rig,
-                mode,
-                seconds,
-                bus=tuple(addresses.values()),
-                outputs=out,
-                signals=signals,
-                progress=lambda t, axes: report(mode, t, seconds, _state(axes)),
-                cpu=cpu,
-                world=world,
-            )
-        with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
-            _say_what_to_do(result.trip, advice, shared_machine)
-            if as_json:
-                print_json(result.as_dict())
-            else:
-                print_runs({mode: result})
+        with page.beside(chosen, address) as stay:
+            with Signals() as signals, progress(not as_json, width=10) as report:
+                result = real_run(
+                    rig,
+                    mode,
+                    seconds,
+                    bus=tuple(addresses.values()),
+                    outputs=out,
+                    signals=signals,
+                    progress=lambda t, axes: report(mode, t, seconds, _state(axes)),
+                    cpu=cpu,
+                    world=world,
+                )
+            with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
+                _say_what_to_do(result.trip, advice, shared_machine)
+                if as_json:
+                    print_json(result.as_dict())
+                else:
+                    print_runs({mode: result})
+                sys.stdout.flush()
+                stay(PAGE_AFTER_TRIP_S * bool(result.trip) if web_after is None else web_after)
 
 
 def _state(axes: list[dict[str, Any]]) -> str:

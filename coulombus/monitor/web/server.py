@@ -126,8 +126,8 @@ def serve(
     Parameters
     ----------
     ready : called with the page's URL when it is served
-    parent : a pipe of the parent process: its end ends the page; the server then waits for the bus,
-        and its closing is no failure
+    parent : a pipe of the parent process: its end ends the page; the server then waits for the bus, and
+        the page stays when the bus closes
 
     Raises
     ------
@@ -188,8 +188,8 @@ async def _serve(
             server.add_sockets(sockets)
             ready()
             due_s = loop.time()
-            while not over.is_set() and reader.failure is None:
-                page.tick(reader.until_ns)
+            while not over.is_set() and (reader.failure is None or parent is not None):
+                page.tick(reader.until_ns if reader.failure is None else time.time_ns())
                 due_s = max(due_s + BATCH_S, loop.time())  # late updates are not caught up
                 await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
             if reader.failure is not None:
