@@ -80,6 +80,7 @@ def test_a_rig_and_its_buses_are_found_together():
     [
         ("watch --interval 1 --foxglove", "--interval is of the table in a terminal: leave it or --foxglove out"),
         ("watch --web --plotjuggler", "--web and --plotjuggler: choose one of them"),
+        ("run --web-after 10", "--web-after is of the page: give --web, too"),
         ("watch --pcapng - --json", "--pcapng shows nothing: leave --json out"),
         ("watch --scope motor.position_rad", "--scope draws in a terminal: leave it out"),
         ("lss --bus coulombus:none --all", "--all goes with --set-id, and not with --device"),

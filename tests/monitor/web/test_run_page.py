@@ -5,6 +5,9 @@ stops. What they do, never how fast.
 import asyncio
 import json
 import re
+import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -70,6 +73,19 @@ def parameter(head, name):
     return next(row for row in head["state"]["host"]["parameters"] if row["name"] == name)
 
 
+ADDRESS = r"page: (http://127\.0\.0\.1:\d+/[\w-]{32,}/)$"
+
+
+def said(run, pattern):
+    """Return the match of the next line on stderr that has the pattern."""
+    lines = []
+    for line in run.stderr:
+        lines.append(line)
+        if match := re.match(pattern, line):
+            return match
+    raise AssertionError(lines)
+
+
 def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
     async def course(url):
         async with Page(url) as page:
@@ -85,13 +101,7 @@ def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
     record = tmp_path / "r.pcapng"
     arguments = ("--web", "--web-port", 0, "--record", record)
     with simulation(BUS, overrides=OVERRIDES), host(BUS, *arguments, seconds=PATIENCE_S, overrides=OVERRIDES) as run:
-        lines = []
-        for line in run.stderr:
-            lines.append(line)
-            if match := re.match(r"page: (http://127\.0\.0\.1:\d+/[\w-]{32,}/)$", line):
-                break
-        assert match, lines
-        asyncio.run(asyncio.wait_for(course(match[1]), PATIENCE_S))
+        asyncio.run(asyncio.wait_for(course(said(run, ADDRESS)[1]), PATIENCE_S))
         status, data, err = result(run)
     assert status == 0, err
     assert data["trip"] is None
@@ -99,3 +109,28 @@ def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
     assert any(text.startswith("set F_s_Nm 3.5 -> 3.125 Nm") for text in markers), markers
     assert "mark 4" in markers
     assert markers[-1] == "safe"
+
+
+def test_after_a_trip_the_page_stays_and_tells_who_comes_now():
+    async def armed(url):
+        async with Page(url) as page:
+            await page.until(lambda head: head["state"]["host"]["phase"] == "running")
+
+    async def later(url):
+        async with Page(url) as page:
+            return (await page.until(lambda head: head["state"]["host"]["trip"]))["state"]["host"]
+
+    arguments = ("--web", "--web-port", 0)
+    with simulation(BUS, overrides=OVERRIDES), host(BUS, *arguments, seconds=PATIENCE_S, overrides=OVERRIDES) as run:
+        url = said(run, ADDRESS)[1]
+        asyncio.run(asyncio.wait_for(armed(url), PATIENCE_S))
+        nmt = [sys.executable, "-m", "coulombus", "nmt", "stop", "1", "--bus", BUS, "--beside-host"]
+        subprocess.run(nmt, check=True, timeout=PATIENCE_S)
+        said(run, "coulombus: the page stays for 60 s; Ctrl-C ends it")
+        told = asyncio.run(asyncio.wait_for(later(url), PATIENCE_S))
+        assert "NMT_STATE" in told["trip"]
+        assert told["entry"].startswith("A node is no longer OPERATIONAL.")
+        run.send_signal(signal.SIGINT)
+        status, data, err = result(run)
+    assert status == 7, err
+    assert "NMT_STATE" in data["trip"]
