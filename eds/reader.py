@@ -64,7 +64,7 @@ def read_eds(path: str | Path) -> Description:
     except OSError as error:
         why = error.strerror or type(error).__name__
         what = why if isinstance(error, NoRegularFile) else f"cannot be read ({why})"
-        raise EdsError(f"{path}:1: {what}; expected an EDS or DCF file, or an XDD or XDC") from error
+        raise EdsError(f"{path}: {what}; expected an EDS or DCF file, or an XDD or XDC") from error
     return parse_eds(raw, str(path))
 
 

@@ -96,9 +96,13 @@ def _drawing(pdo: PdoLayout) -> str:
 
 
 def _refusal(file: str, text: str) -> dict[str, Any]:
-    """Split ``file:line: text`` of an `EdsError`."""
+    """Split ``file:line: text`` of an `EdsError`; a file that cannot be read has no line."""
     line, _, what = text.removeprefix(f"{file}:").partition(": ")
-    return {"line": int(line), "text": what}
+    return (
+        {"line": int(line), "text": what}
+        if line.isdecimal()
+        else {"line": None, "text": text.removeprefix(f"{file}: ")}
+    )
 
 
 def _print(result: dict[str, Any], pdos: bool) -> None:
@@ -107,7 +111,8 @@ def _print(result: dict[str, Any], pdos: bool) -> None:
         echo(f"{file}:{d['line']}: {d['severity']}: {d['text']}; assumed {d['assumed']}")
     without = "; the PDO is not valid at start" if result["readable"] else ""
     for r in result["refused"]:
-        echo(f"{file}:{r['line']}: refused: {r['text']}{without}")
+        line = "" if r["line"] is None else f":{r['line']}"
+        echo(f"{file}{line}: refused: {r['text']}{without}")
     if pdos:
         for drawing in result["drawn"]:
             echo(f"\n{drawing}")

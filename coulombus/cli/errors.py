@@ -17,7 +17,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
@@ -42,6 +42,13 @@ EXIT_STATUS = "Exit status: 0 is ok; 'coulombus help exit' lists the others."
 """The last line of a verb's help."""
 
 LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
+
+OTHER_VERBS = {
+    ("emulate", "--eds"): "`coulombus node FILE` simulates the device of an EDS file.",
+    ("simulate", "--eds"): "`coulombus node FILE` simulates the device of an EDS file.",
+    ("decode", "--dbc"): "--eds takes the devices' EDS files; `coulombus dbc` writes a DBC file for other tools.",
+}
+"""What to do instead of an option that a verb does not have."""
 
 WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
 """Keys of a context: the words after the verb, whether the result has been printed, and the output file of each option.
@@ -100,6 +107,8 @@ class Verbs(click.Group):
                     return super().invoke(ctx)
             except click.UsageError as error:
                 meant = _option_meant(error)
+                if other := _of_other_verbs(error):
+                    raise click.UsageError(other, error.ctx) from None
                 if isinstance(error, click.NoSuchOption):  # for --mod, suggest --mode, not --record
                     begun = [option for option in error.possibilities or () if option.startswith(error.option_name)]
                     if begun:
@@ -119,10 +128,30 @@ class Verbs(click.Group):
             raise _printable(error) from None
 
 
+class _Mistake(click.UsageError):
+    """A wrong option or argument, with one line on where the help is."""
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print it to stderr."""
+        if self.ctx is not None:
+            click.echo(f"Try '{self.ctx.command_path} --help' for help.", file, err=True)
+        click.echo(f"Error: {self.format_message()}", file, err=True)
+
+
 def _printable(error: click.ClickException) -> click.ClickException:
     """Return click's error without control characters in its text."""
+    if isinstance(error, click.UsageError) and not isinstance(error, click.exceptions.NoArgsIsHelpError):
+        return _Mistake(printable(error.format_message()), error.ctx)
     error.message = printable(error.message)  # type: ignore[misc]  # Final to typeshed alone
     return error
+
+
+def _of_other_verbs(error: click.UsageError) -> str:
+    """Return an error on an option of another verb, or ""."""
+    if not isinstance(error, click.NoSuchOption) or error.ctx is None:
+        return ""
+    instead = OTHER_VERBS.get((error.ctx.info_name or "", error.option_name))
+    return f"No such option '{error.option_name}'. {instead}" if instead else ""
 
 
 def _option_meant(error: click.UsageError) -> str:

@@ -29,6 +29,7 @@ from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
 from coulombus.rigs.arguments import a_number, path_text, texts
+from coulombus.rigs.errors import nearest
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.fault_file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
@@ -276,7 +277,7 @@ def simulate(
     if outside is not None:
         chosen = with_world(chosen)
     if mode not in chosen.modes:
-        raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
+        raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}{nearest(mode, chosen.modes)}")
     a_number(seconds, "seconds", "13.0")
     a_number(seed, "seed", "7", whole=True)
     if not (math.isfinite(seconds) and seconds > 0):

@@ -9,6 +9,7 @@ the kernel gives them) or 8 + length.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -63,6 +64,9 @@ MOST_DESCRIBED = 1 << 14
 """Maximum number of sections and interfaces of a file together: 8,192 captures in a row, of an interface each."""
 MOST_LISTED = 10
 FEW = 64
+FEW_BYTES = 4096
+_DESCRIPTION = re.compile(rb"^\[(FileInfo|DeviceInfo)\]|<ISO15745Profile", re.MULTILINE | re.IGNORECASE)
+"""What an EDS, DCF or XDD file begins with."""
 """Packets that are decoded of a stretch before the window: its end is known then."""
 
 
@@ -267,6 +271,8 @@ def _check_start(reader: _Reader) -> None:
         raise PcapngError(f"{reader.path}: the file is empty: nothing was recorded; take another file")
     if not b"\x0a\x0d\x0d\x0a".startswith(start):
         known = next((text for magic, text in OTHER_FORMATS.items() if start.startswith(bytes.fromhex(magic))), None)
+        if _DESCRIPTION.search(reader.data[:FEW_BYTES]):
+            known = f"a device description: `coulombus eds check {reader.path}` reads it, `coulombus node` simulates the device"
         what = (
             f"it is {known}"
             if known

@@ -136,6 +136,15 @@ class Source:
         """Return whether the signal exists: the signal of an absent role is in no PDO."""
         return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
 
+    def __contains__(self, name: object) -> bool:
+        """Return whether the signal exists: ``"motor.position_rad" in recording``."""
+        return isinstance(name, str) and self.has(name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all signals."""
+        return tuple(dict.fromkeys(signal.name for pdo in self.pdos for signal in pdo.signals))
+
     def signal(self, name: str) -> Signal:
         """Return the definition of a signal: object, scale, offset, unit; `UnknownSignal` names the nearest ones."""
         return signal_of(self.pdos, name, self.path)

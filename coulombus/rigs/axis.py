@@ -215,6 +215,11 @@ class Axis(Sections):
         """
         return self.origin.source(self.name).said(text) if self.name else text
 
+    def refusal(self, key: str, text: str) -> RigError:
+        """Return an error with the place of `key`, for later checks; `text` has the cause."""
+        source, path = self.origin.source(self.name), tuple(key.split("."))
+        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {source.said(text)}"])
+
     def mistake(self, key: str, expected: str) -> RigError:
         """Return an error with the place of `key`, its value, and the `expected` value, for later checks.
 

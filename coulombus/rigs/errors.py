@@ -17,6 +17,7 @@ from coulombus.system.foreign_text import printable
 __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
 
 LONGEST = 60
+_LAW = re.compile(r'(?:axis\.[^.]+\.)?law\.function="(.*)"')
 _KEY = re.compile(
     r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|kinematics|law|mode|limits|plane|plant|operator)(?:\.\w+)+"
 )
@@ -91,11 +92,11 @@ class Source:
         key = self.full(key)
         for length in range(len(key), 0, -1):
             if key[:length] in self.overrides:  # of this key, or of all that holds it
-                return float("inf"), f"--set {self.overrides[key[:length]]}"
+                return float("inf"), _option(self.overrides[key[:length]])
         if not any(place[: len(key)] == key for place in self.document.lines):
             for given, text in self.overrides.items():
                 if given[: len(key)] == key:
-                    return float("inf"), f"--set {text}"
+                    return float("inf"), _option(text)
         line = self.document.line(key)
         return line, f"{self.path}:{line}"
 
@@ -129,6 +130,12 @@ class Source:
             ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
             said_once = list(dict.fromkeys(ordered))  # shared by several axes
             raise RigError(said_once, self.problems, list(dict.fromkeys(self.lacking)))
+
+
+def _option(override: str) -> str:
+    """Return the option that gave an override: ``--law NAME`` for what `Rig.with_law` sets, else ``--set``."""
+    law = _LAW.fullmatch(override)
+    return f"--set {override}" if law is None else f"--law {law[1]}"
 
 
 def _depth(values: Any, key: Key) -> int:

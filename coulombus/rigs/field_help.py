@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -25,6 +26,9 @@ __all__ = [
     "without_unit",
 ]
 
+MOST_MEANT = 3
+_OTHER_UNIT = re.compile(r"_(ms|us|min|h|Hz|kHz|deg|rpm|mNm|mA|V|W)$")
+"""Units in which no key is given."""
 UNITS = {
     "push_F_s": "F_s",
     "F_s_Nm": "Nm",
@@ -230,11 +234,28 @@ def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source:
     """Note an unknown key: the keys of its section, and where the same name is known, or the nearest name here."""
     name, section = str(key[-1]), dotted(key[:-1])
     known = list(fields_of(holder))
-    homes = [path for path in _paths(schema) if path.rpartition(".")[2] == name]
-    hint = "; did you mean " + " or ".join(f"'{home}'" for home in homes[:2]) + "?" if homes else nearest(name, known)
+    paths = list(_paths(schema))
+    homes = [path for path in paths if path.rpartition(".")[2] == name]
+    hint = _or(homes) or nearest(name, known) or _or(_similar(name, paths))
     expected = f"one of the keys of [{section}]" if section else "one of the sections"
     kind = "key" if section else "section"
     source.say(key, f"unknown {kind}; expected {expected}: {', '.join(known)}{hint}")
+
+
+def _or(paths: Sequence[str]) -> str:
+    """Return "; did you mean ... or ...?" for at most three paths, or ""."""
+    *first, last = [f"'{path}'" for path in paths[:MOST_MEANT]] or [""]
+    return last and f"; did you mean {', '.join(first)}{' or ' * bool(first)}{last}?"
+
+
+def _similar(name: str, paths: Iterable[str]) -> list[str]:
+    """Return the paths whose last part has the same name with another unit, else those with the nearest one."""
+    by_stem: dict[str, list[str]] = {}
+    for path in paths:
+        by_stem.setdefault(without_unit(path.rpartition(".")[2]).lower(), []).append(path)
+    stems = [name.lower(), _OTHER_UNIT.sub("", without_unit(name)).lower()]
+    near = [stem for stem in stems if stem in by_stem] or difflib.get_close_matches(stems[1], by_stem, 1, 0.75)
+    return [path for stem in near[:1] for path in by_stem[stem]]
 
 
 def _paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -284,6 +284,8 @@ class Rig:
 
     def with_law(self, name: str) -> Rig:
         """Return the rig with another law, for all its axes."""
+        if name.endswith(".py"):
+            raise RigError([f"--law {name}: name the function: {name}:NAME"])
         own = read_toml(self._spelled).values["axis"] if self._spelled else {}
         named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
         return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))

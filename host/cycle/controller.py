@@ -162,7 +162,7 @@ class Controller:
         try:
             loaded = load_declared(axis.law.function.strip(), axis.law_directory)
         except LawError as error:
-            raise axis.mistake("law.function", f"a friction law; {error}") from error
+            raise axis.refusal("law.function", str(error)) from error
         self.law_function = loaded.pointer
         self.declaration = loaded.declaration
         self.parameters = axis_parameters(axis, loaded.declaration, mode)

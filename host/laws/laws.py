@@ -296,6 +296,8 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
     if not place and attribute in BUILTIN_LAWS:
         declared: Declaration | None = BUILTIN_LAWS[attribute]
         return LoadedLaw(_own(attribute), declared)
+    if name.endswith(".py"):
+        raise LawError(f"law {name!r}: name the function: {name}:NAME")
     if not place or not attribute:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
         names = ", ".join(map(repr, BUILTIN_LAWS))

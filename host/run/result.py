@@ -61,7 +61,7 @@ class Doubts:
     """State and error counters of each node's CAN controller at the end, in a run with a fault file."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class RunResult(Doubts, Timing, Measures):
     """Result of a run: the display's figures, timing, `Doubts`, and the recording.
 
@@ -92,6 +92,16 @@ class RunResult(Doubts, Timing, Measures):
     """Figures of an arm in the plane: the net work of each motor, the smallest condition of the Jacobian, and, of a
     simulated arm, how the displayed force differs from the law's. None for a rig of independent axes.
     """
+
+    def __repr__(self) -> str:
+        """Return the figures that the run has, one in a line; `as_dict` has all."""
+        shown = {
+            name: f"{value:.6g}" if isinstance(value, float) else value
+            for name, value in (vars(self) | {"counters": {key: n for key, n in self.counters.items() if n}}).items()
+            if value not in (None, (), [], {}) and name not in ("mode", "trip")
+        }
+        lines = (f"\n  {name}: {value}" for name, value in shown.items())
+        return f"<run in mode {self.mode}: {f'trip {self.trip}' if self.trip else 'no trip'}{''.join(lines)}>"
 
     @classmethod
     def of(

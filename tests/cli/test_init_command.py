@@ -74,7 +74,7 @@ def test_a_drive_without_a_set_point_is_refused_in_one_line(folder):
         (("--drive", "bench"), 2, "give --drive and --brake, or --bus"),
         (("--drive", "bench", "--brake", "bench", "--drive-id", 2, "--brake-id", 2), 2, "a node id of its own"),
         (("--drive", "bench", "--brake", "bench", "--sensor-id", 2), 2, "more often than --sensor"),
-        (("--drive", "none.eds", "--brake", "bench"), 3, "none.eds:1: cannot be read"),
+        (("--drive", "none.eds", "--brake", "bench"), 3, "none.eds: cannot be read"),
         (("--drive", "bench", "--brake", "bench", "--like", "bnch"), 3, "did you mean 'bench'"),
         (("--bus", "coulombus:nobody", "--eds-folder", "eds"), 4, "no bus coulombus:nobody"),
     ],

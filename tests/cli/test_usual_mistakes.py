@@ -35,8 +35,8 @@ USUAL = [
     ("identify none.pcapng", 3, f"none.pcapng: {MISSING}"),
     ("hz none.pcapng", 3, f"none.pcapng: {MISSING}"),
     ("eds check *.edz", 3, f"{MISSING}; no file fits this pattern"),
-    ("eds check none.eds", 3, f"none.eds:1: refused: {MISSING}"),
-    ("init --drive none.eds --brake bench", 3, f"none.eds:1: {MISSING}"),
+    ("eds check none.eds", 3, f"none.eds: refused: {MISSING}"),
+    ("init --drive none.eds --brake bench", 3, f"none.eds: {MISSING}"),
     ("init --drive bench --brake bench --eds-folder none", 3, f"none: {MISSING}"),
     ("law dahl --motion none.csv", 3, f"none.csv: {MISSING}"),
     ("law none.py:f --motion sine", 3, "there is no file none.py"),
@@ -95,9 +95,9 @@ USUAL = [
         3,
         "describes no object; expected sections such as [1000], is it an EDS file?",
     ),
-    ("check --set motor.eds=folder", 3, "folder:1: is a directory, not a regular file"),
+    ("check --set motor.eds=folder", 3, "folder: is a directory, not a regular file"),
     ("init --drive my-rig.toml --brake bench", 3, "my-rig.toml:1: describes no object"),
-    ("eds check folder", 3, "folder:1: refused: is a directory"),
+    ("eds check folder", 3, "folder: refused: is a directory"),
     ("eds check my-rig.toml", 3, "is it an EDS file?"),
     ("decode empty.pcapng", 2, "empty.pcapng: the file is empty: nothing was recorded"),
     ("decode my-rig.toml", 2, "my-rig.toml: offset 0: not a pcapng file"),
@@ -173,6 +173,20 @@ USUAL = [
     ("law dahl --motion sin", 2, "did you mean 'sine'?"),
     ("commission --rig my-rig.toml --virtual --step frition", 2, "did you mean 'friction'?"),
     ("commission --rig bench --virtual", 2, "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"),
+    ("eds check motr.eds", 3, f"motr.eds: refused: {MISSING}; did you mean 'motor.eds'?)"),
+    ("simulate --set F_s=3", 3, "did you mean 'mode.active.F_s_Nm', 'mode.passive.F_s_Nm' or 'mode.hybrid.F_s_Nm'?"),
+    ("simulate --set host.period_ms=2", 3, "did you mean 'bus.period_s'?"),
+    ("simulate --set peroid_s=0.002", 3, "did you mean 'bus.period_s'?"),
+    ("simulate --law law.py", 3, "--law law.py: name the function: law.py:NAME"),
+    ("law law.py", 3, "law 'law.py': name the function: law.py:NAME"),
+    (
+        "simulate --law broken.py:f",
+        3,
+        "--law broken.py:f: law.function: law 'broken.py:f': broken.py cannot be imported",
+    ),
+    ("explain motor.eds", 2, "it is a device description: `coulombus eds check motor.eds` reads it"),
+    ("emulate --eds motor.eds", 2, "No such option '--eds'. `coulombus node FILE` simulates the device"),
+    ("decode run.pcapng --dbc a.dbc", 2, "--eds takes the devices' EDS files; `coulombus dbc` writes"),
     # a bus that is not there
     ("scan --bus coulombus:none", 4, "start one in another terminal with `coulombus emulate --bus coulombus:none`"),
     ("run --bus pcan:PCAN_USBBUS1", 2, "unknown kind of bus 'pcan'; expected coulombus:NAME"),
@@ -222,6 +236,11 @@ def test_a_usual_mistake_is_told_with_what_to_do(folder, words, status, told):
     assert told in re.sub(r"\s+", " ", result.output)
     after = {path.name for path in folder.iterdir()} - {"__pycache__"}  # Python's own, of a law's file
     assert after == before
+
+
+def test_a_wrong_option_is_told_in_two_lines():
+    result = CliRunner().invoke(main, ["decode", "--foo"])
+    assert result.stderr.splitlines() == ["Try 'main decode --help' for help.", "Error: No such option '--foo'."]
 
 
 def test_what_is_missing_is_told_as_json_too(folder):

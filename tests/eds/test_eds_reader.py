@@ -395,12 +395,12 @@ def longer_than(path, size):
 @pytest.mark.parametrize(
     ("make", "match"),
     [
-        (lambda path: None, r"none\.eds:1: cannot be read \(No such file or directory\); expected an EDS"),
-        (lambda path: path.mkdir(), r"none\.eds:1: is a directory, not a regular file; expected an EDS"),
-        (lambda path: path.symlink_to("/dev/zero"), r"none\.eds:1: is a device, not a regular file; expected an EDS"),
-        (lambda path: os.mkfifo(path), r"none\.eds:1: is a FIFO, not a regular file; expected an EDS"),
-        (lambda path: bind("none.eds"), r"none\.eds:1: is a socket, not a regular file; expected an EDS"),
-        (lambda path: longer_than(path, (64 << 20) + 1), r"none\.eds:1: has more than 64 MiB; expected an EDS"),
+        (lambda path: None, r"none\.eds: cannot be read \(No such file or directory\); expected an EDS"),
+        (lambda path: path.mkdir(), r"none\.eds: is a directory, not a regular file; expected an EDS"),
+        (lambda path: path.symlink_to("/dev/zero"), r"none\.eds: is a device, not a regular file; expected an EDS"),
+        (lambda path: os.mkfifo(path), r"none\.eds: is a FIFO, not a regular file; expected an EDS"),
+        (lambda path: bind("none.eds"), r"none\.eds: is a socket, not a regular file; expected an EDS"),
+        (lambda path: longer_than(path, (64 << 20) + 1), r"none\.eds: has more than 64 MiB; expected an EDS"),
         (lambda path: path.write_bytes(b""), r"none\.eds:1: describes no object; expected sections such as \[1000\]"),
         (lambda path: path.write_bytes(b"\x00\xff" * 999), r"none\.eds:1: describes no object"),
         (lambda path: path.write_text("[DeviceInfo]\nVendorName=x\n"), r"none\.eds:1: describes no object"),

@@ -214,3 +214,23 @@ def test_numbers_of_a_simulation_and_of_a_device_are_numbers():
 def test_a_signal_of_series_is_a_text(recording, wrong):
     right = "expected one text each, as in series(recording, 'motor.position_rad')"
     assert_wrong_call(lambda: series(recording, *wrong), right)
+
+
+def test_a_recording_has_its_signals_names(recording):
+    assert "motor.position_rad" in recording
+    assert "motor.nothing" not in recording
+    assert 3 not in recording
+    assert set(recording.names) == {name for name in recording.names if recording.has(name)} > {"brake.setpoint_Nm"}
+
+
+def test_a_mode_that_is_misspelt_has_a_near_name():
+    with pytest.raises(ValueError, match=r"'hybird': the rig has active, passive, hybrid; did you mean 'hybrid'\?"):
+        simulate("bench", "hybird", 1)
+
+
+def test_a_result_prints_what_it_has_in_lines():
+    lines = repr(simulate("bench", "passive", 0.1)).splitlines()
+    assert lines[0] == "<run in mode passive: no trip"
+    assert all(line.startswith("  ") for line in lines[1:])
+    assert max(map(len, lines)) < 100
+    assert not any("None" in line or "{}" in line for line in lines)

@@ -88,8 +88,8 @@ class LawFit:
     @property
     def misfit(self) -> float | None:
         """The residual as a multiple of the torque's noise; None if the noise alone explains it."""
-        explained = max(MISFIT * self.noise_Nm, EXACT * self.torque_rms_Nm)
-        return None if self.residual_rms_Nm <= explained else self.residual_rms_Nm / max(self.noise_Nm, 1e-12)
+        noise_Nm = max(self.noise_Nm, EXACT / MISFIT * self.torque_rms_Nm)
+        return None if self.residual_rms_Nm <= MISFIT * noise_Nm else self.residual_rms_Nm / noise_Nm
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""
