@@ -43,6 +43,7 @@ __all__ = [
     "iter_options",
     "next_block",
     "option",
+    "other_format",
     "read_attachment",
 ]
 
@@ -81,6 +82,9 @@ OTHER_FORMATS = {
     "28b52ffd": "compressed twice: unpack it once with 'unzstd'",
 }
 """First bytes of other file formats -> their names."""
+DESCRIPTION = re.compile(rb"^\[(FileInfo|DeviceInfo)\]|<ISO15745Profile", re.MULTILINE | re.IGNORECASE)
+"""Near the begin of an EDS, DCF or XDD file."""
+NEAR_BEGIN = 4096
 SECTION_MARK = struct.pack("<I", SECTION_HEADER)
 SECTION_ORDERS = {struct.pack(order + "I", BYTE_ORDER_MAGIC): order for order in "<>"}
 KINDS = (SECTION_HEADER, INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
@@ -89,6 +93,16 @@ KNOWN_BLOCK = {
 }
 ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"
+
+
+def other_format(data: bytes, path: str) -> str | None:
+    """Return what a file of another format is, and what takes it; None if it is not known."""
+    if DESCRIPTION.search(data[:NEAR_BEGIN]):
+        return (
+            f"it is a device description: `coulombus eds check {path}` reads it, `coulombus node` simulates the device"
+        )
+    known = (text for magic, text in OTHER_FORMATS.items() if data.startswith(bytes.fromhex(magic)))
+    return next((f"it is {text}" for text in known), None)
 
 
 class PcapngError(CoulombusError):

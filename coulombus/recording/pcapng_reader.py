@@ -9,7 +9,6 @@ the kernel gives them) or 8 + length.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -33,7 +32,6 @@ from coulombus.recording.pcapng_blocks import (
     LINKTYPE_CAN_SOCKETCAN,
     MAX_BLOCK,
     OPT_COMMENT,
-    OTHER_FORMATS,
     OWN_APPLICATION,
     PACKET,
     SHB_APPLICATION,
@@ -44,6 +42,7 @@ from coulombus.recording.pcapng_blocks import (
     TooLarge,
     iter_options,
     next_block,
+    other_format,
     read_attachment,
 )
 from coulombus.recording.pcapng_packets import BadPacketError, Interface, column, decode_packets
@@ -64,9 +63,6 @@ MOST_DESCRIBED = 1 << 14
 """Maximum number of sections and interfaces of a file together: 8,192 captures in a row, of an interface each."""
 MOST_LISTED = 10
 FEW = 64
-FEW_BYTES = 4096
-_DESCRIPTION = re.compile(rb"^\[(FileInfo|DeviceInfo)\]|<ISO15745Profile", re.MULTILINE | re.IGNORECASE)
-"""What an EDS, DCF or XDD file begins with."""
 """Packets that are decoded of a stretch before the window: its end is known then."""
 
 
@@ -270,13 +266,8 @@ def _check_start(reader: _Reader) -> None:
     if not start:
         raise PcapngError(f"{reader.path}: the file is empty: nothing was recorded; take another file")
     if not b"\x0a\x0d\x0d\x0a".startswith(start):
-        known = next((text for magic, text in OTHER_FORMATS.items() if start.startswith(bytes.fromhex(magic))), None)
-        if _DESCRIPTION.search(reader.data[:FEW_BYTES]):
-            known = f"a device description: `coulombus eds check {reader.path}` reads it, `coulombus node` simulates the device"
-        what = (
-            f"it is {known}"
-            if known
-            else f"it begins with {start.hex(' ')}, a pcapng file with 0a 0d 0d 0a; and it is no log that is known by its "
+        what = other_format(reader.data, str(reader.path)) or (
+            f"it begins with {start.hex(' ')}, a pcapng file with 0a 0d 0d 0a; and it is no log that is known by its "
             "content or its name: candump's .log, .asc, .blf, .trc, .csv, .mf4"
         )
         raise PcapngError(f"{reader.path}: offset 0: not a pcapng file: {what}")

@@ -59,6 +59,10 @@ BLOCK = 127
 """Largest number of segments in a block."""
 LONG = 7 * BLOCK
 """Size above which block transfer is used, if the server supports it."""
+DOMAINS = frozenset((0x1021, 0x1F20, 0x1F22, 0x1F50))
+"""Objects that are long by their definition (CiA 301, CiA 302-3): their read begins as a block transfer."""
+SWITCH = 255
+"""Protocol switch threshold: a server answers a block upload of an object up to this size as an ordinary one."""
 MOST_BYTES = 1 << 26
 """Largest accepted length of an upload."""
 MOST_UNTOLD = 1 << 22
@@ -164,7 +168,7 @@ def upload(
     progress: Progress = _nothing,
 ) -> Transfer[bytes]:
     """Read an object: expedited or by segments, as the server chooses; long ones by block transfer, if the
-    server supports it.
+    server supports it. A read of `DOMAINS` begins as a block transfer, that of another object when its size is known.
 
     Parameters
     ----------
@@ -180,7 +184,17 @@ def upload(
         the server's answer is not valid, or the object has more bytes than `most` or than indicated
     """
     say = _Answers("upload of", index, subindex)
-    answer = yield from say.first(head(0x40, index, subindex))
+    answer = b""
+    if block and index in DOMAINS:
+        block = False  # asked for here: what comes instead is the server's choice
+        try:
+            answer = yield from say.first(head(0xA4, index, subindex, bytes((BLOCK, SWITCH))))
+        except SdoRefused as refused:
+            if refused.code != Abort.COMMAND:
+                raise
+        if answer and answer[0] >> 5 == 6:
+            return (yield from _blocks(say, answer, most, progress))
+    answer = answer or (yield from say.first(head(0x40, index, subindex)))
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
         size = int.from_bytes(answer[4:8], "little")
         if LONG < size <= most:
@@ -236,6 +250,11 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
     if answer[0] >> 5 == 2:
         say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may still arrive
         return None
+    return (yield from _blocks(say, answer, most, progress))
+
+
+def _blocks(say: _Answers, answer: bytes, most: int, progress: Progress) -> Transfer[bytes]:
+    """Continue a block upload after the server's first answer."""
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from random import Random
+from types import SimpleNamespace
 
 import canopen
 import pytest
@@ -17,6 +18,7 @@ from coulombus.eds.cia301 import Abort
 from coulombus.host.errors import HostError
 from coulombus.host.sdo.sdo_client import LATE_S, SdoClient, load_defaults, store_parameters
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
+from coulombus.node.sdo_server import SdoServer
 from devices_bench import EDS, DevicesLink, Server, eds
 
 S = 1_000_000_000
@@ -53,6 +55,7 @@ def test_a_long_object_comes_by_blocks_with_progress():
     assert told == sorted(told)
     assert told[-1] == (len(content), len(content))
     assert link.t < 0.3 * S
+    assert not any(data[0] == 0x80 for _, data in link.sent)  # its length is known to be long: nothing is aborted
 
 
 class LocalNode:
@@ -323,6 +326,47 @@ def test_a_server_without_block_transfer_is_asked_by_segments():
     client.download(*LABEL, data)
     assert client.upload(*LABEL) == data
     assert refused == [0xC6, 0xA4]
+
+
+@pytest.mark.parametrize(("code", "error"), [(0x05040001, None), (0x06020000, "object does not exist")])
+def test_a_domain_that_is_refused_by_blocks_is_asked_by_segments_or_told(code, error):
+    link = DevicesLink()
+    link.add(eds("motor"), 1)
+    original = link.send
+
+    def send(can_id, data=b"", length=None):
+        if can_id == 0x601 and data[0] == 0xA4:
+            link.put(0x581, b"\x80" + data[1:4] + code.to_bytes(4, "little"))
+        else:
+            original(can_id, data, length)
+
+    link.send = send
+    client = SdoClient(link, 1)
+    if error is None:
+        assert client.upload(0x1021, 0) == (EDS / "motor.eds").read_bytes()
+    else:
+        with pytest.raises(SdoRefused, match=error):
+            client.upload(0x1021, 0)
+    assert link.t < 1.5 * S  # segments need one; nobody waits for an answer
+
+
+@pytest.mark.parametrize("length", [1, 4, 5, 254, 255, 256, 900])
+def test_a_short_domain_comes_as_the_server_chooses(length):
+    link, content = DevicesLink(), bytes(k % 251 for k in range(length))
+    memory = SimpleNamespace(upload=lambda index, subindex: content)
+    server = SdoServer(memory)
+
+    def hear(can_id, data):
+        if can_id != 0x605:
+            return []
+        answer = server.request(bytes(data))
+        return [(0x585, frame) for frame in ([] if answer is None else [answer]) + list(server.burst)]
+
+    link.others.append(hear)
+    assert SdoClient(link, 5).upload(0x1021, 0) == content
+    first = [data[0] for can_id, data in link.sent if can_id == 0x605]
+    assert (0xA3 in first) == (length > 255)
+    assert 0x80 not in first
 
 
 def test_who_is_interrupted_aborts_the_transfer():
