@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE, json_option, printed, say
+from coulombus.cli.common import json_option, printed, say
+from coulombus.cli.device_options import devices_bus_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputFile
 
@@ -59,9 +60,7 @@ class Reports:
 tested_options = bundle(
     "tested",
     Tested,
-    click.option(
-        "--bus", "bus_name", required=True, metavar="B", envvar=BUS_VARIABLE, help="coulombus:NAME or socketcan:IF."
-    ),
+    devices_bus_option,
     click.option(
         "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
     ),

@@ -36,8 +36,33 @@ __all__ = [
     "waiting_option",
 ]
 
+
+def _living_bus(context: click.Context, param: click.Parameter, bus_name: str | None) -> str | None:
+    """Return the named bus, else the one virtual bus that is served, which is printed.
+
+    Raises
+    ------
+    click.MissingParameter
+        none is served, or several are; a CAN interface is never chosen unasked
+    """
+    if bus_name is not None or context.resilient_parsing:
+        return bus_name
+    from coulombus.wire.address import live_bus_names
+
+    names = live_bus_names()
+    if len(names) != 1:
+        raise click.MissingParameter(ctx=context, param=param)
+    say(f"coulombus: on the bus coulombus:{names[0]}")
+    return f"coulombus:{names[0]}"
+
+
 devices_bus_option = click.option(
-    "--bus", "bus_name", required=True, metavar="B", envvar=BUS_VARIABLE, help="coulombus:NAME or socketcan:IF."
+    "--bus",
+    "bus_name",
+    metavar="B",
+    envvar=BUS_VARIABLE,
+    callback=_living_bus,
+    help="coulombus:NAME or socketcan:IF.  [default: the one virtual bus that is served]",
 )
 beside_option = click.option(
     "--beside-host", "beside", is_flag=True, help="Also while a host runs on the bus, at your own risk."

@@ -163,7 +163,11 @@ def _option_meant(error: click.UsageError) -> str:
             known = "--version"
         return f" Did you mean '{known}'?" if known in (*error.ctx.command.commands, "--version") else ""
     if isinstance(error, click.MissingParameter) and error.param is not None and "--bus" in error.param.opts:
-        return " Say --bus coulombus:bench, which coulombus emulate serves, or --bus socketcan:can0."
+        from coulombus.wire.address import live_bus_names
+
+        names = ", ".join(f"coulombus:{name}" for name in live_bus_names())
+        served = f"These are served: {names}" if names else "No virtual bus is served; `coulombus emulate` serves one"
+        return f" {served}. A CAN interface is --bus socketcan:can0."
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
         given = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
         near = difflib.get_close_matches(given, map(str, error.param.type.choices), 1, 0.6)

@@ -538,3 +538,19 @@ def test_live_devices_without_node_ids_get_them_and_are_found(private_sockets, t
     finally:
         process.terminate()
         process.communicate(timeout=60)
+
+
+@pytest.mark.parametrize("words", [("sdo", "get", "1", "1000h"), ("nmt", "preop", "1"), ("scan",)])
+def test_the_one_virtual_bus_that_is_served_is_found(desk, monkeypatch, words):
+    monkeypatch.setattr("coulombus.wire.address.live_bus_names", lambda: ["desk"])
+    done = call(*words, "--json")
+    assert done.exit_code == 0, done.output
+    assert "coulombus: on the bus coulombus:desk" in done.stderr
+    assert json.loads(done.stdout)
+
+
+def test_of_several_buses_none_is_taken_and_all_are_named(desk, monkeypatch):
+    monkeypatch.setattr("coulombus.wire.address.live_bus_names", lambda: ["a", "b"])
+    done = call("nmt", "stop", "1")
+    assert done.exit_code == 2
+    assert "These are served: coulombus:a, coulombus:b. A CAN interface is --bus" in " ".join(done.stderr.split())

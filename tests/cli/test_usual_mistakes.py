@@ -145,7 +145,7 @@ USUAL = [
     ("simulate --mode HYBRID", 2, "Did you mean 'hybrid'?"),
     ("simulate --set motor.peak 2.5", 2, "did you mean --set motor.peak=2.5?"),
     ("simulate --mod hybrid", 2, "No such option '--mod'. Did you mean '--mode'?"),
-    ("sdo get 1 1000h", 2, "Say --bus coulombus:bench"),
+    ("sdo get 1 1000h", 2, "No virtual bus is served; `coulombus emulate` serves one. A CAN interface is --bus"),
     (
         "law text.txt:f --motion sine",
         3,
