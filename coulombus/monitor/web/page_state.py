@@ -7,16 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
 from coulombus.monitor.live_incidents import IncidentRow
+from coulombus.monitor.services import STATES
 from coulombus.monitor.snapshot import NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["HostDoor", "HostView", "arm_state", "document", "incident_dict"]
+__all__ = ["HostDoor", "HostView", "arm_state", "document", "drive_words", "incident_dict"]
 
+NMT_OPERATIONAL = STATES[NmtState.OPERATIONAL]
 ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
 EVENTS_SHOWN = 40
 BINS_SHOWN = 200
@@ -212,14 +215,19 @@ def document(
 
 def arm_state(snapshot: Snapshot) -> str:
     """Return "armed" if a drive on the bus is enabled, "disarmed" if all drives report that they
-    are not, "unknown" if a drive was never or not recently heard.
+    are not, "unknown" if a drive was never or not recently heard, or no longer sends its statusword.
 
     It follows from the bus, because the host may run on another machine.
     """
     drives = [node for node in snapshot.nodes if node.power_state is not None]
-    if any(node.power_state == ENABLED and not node.silent for node in drives):
+    if any(node.power_state == ENABLED and not _stale(node) for node in drives):
         return "armed"
-    return "disarmed" if drives and not any(node.silent for node in drives) else "unknown"
+    return "disarmed" if drives and not any(map(_stale, drives)) else "unknown"
+
+
+def _stale(node: NodeRow) -> bool:
+    """Return whether a drive's statusword is an old one: a node that is not OPERATIONAL sends no PDO."""
+    return node.silent or node.state not in (None, NMT_OPERATIONAL)
 
 
 def drive_words(snapshot: Snapshot) -> str:
@@ -228,7 +236,8 @@ def drive_words(snapshot: Snapshot) -> str:
     several = len(drives) > 1
     words = []
     for node in drives:
-        state = "silent" if node.silent else node.power_state or ""
+        state = f"{'last seen ' if _stale(node) else ''}{node.power_state}"
+        state = f"silent, {state}" if node.silent else state
         words.append((f"{node.name} " if several else "") + state + (f", {node.emergency}" if node.emergency else ""))
     return "; ".join(words)
 

@@ -1,6 +1,7 @@
 """The page's model: samples, words, batches, guards. No bus, no browser."""
 
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from coulombus.monitor.web.access import ControlLock, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
 from coulombus.monitor.web.capture import LiveCapture
-from coulombus.monitor.web.page_state import HostView, arm_state, document
+from coulombus.monitor.web.page_state import HostView, arm_state, document, drive_words
 from coulombus.rigs.rig import load_rig
 from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 
@@ -96,6 +97,23 @@ def test_a_hosts_rubbish_is_as_if_not_told(rubbish):
 def test_a_drive_that_is_not_heard_is_neither_armed_nor_disarmed():
     live_capture = LiveCapture(load_rig("bench"))
     assert arm_state(live_capture.snapshot(BEGIN_NS)) == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("nmt", "silent", "arm", "words"),
+    [
+        ("operational", False, "armed", "operation enabled"),
+        (None, False, "armed", "operation enabled"),
+        ("pre-operational", False, "unknown", "last seen operation enabled"),
+        ("stopped", False, "unknown", "last seen operation enabled"),
+        ("operational", True, "unknown", "silent, last seen operation enabled"),
+    ],
+)
+def test_a_state_is_the_last_seen_once_its_drive_sends_no_more(nmt, silent, arm, words):
+    """A node that is not OPERATIONAL sends no statusword: nobody knows whether it is armed."""
+    drive = SimpleNamespace(power_state="operation enabled", state=nmt, silent=silent, name="motor", emergency=None)
+    snapshot = SimpleNamespace(nodes=[drive])
+    assert (arm_state(snapshot), drive_words(snapshot)) == (arm, words)
 
 
 def test_batches_bring_each_bin_and_wait_for_the_page(capture):
