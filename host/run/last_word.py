@@ -19,7 +19,7 @@ from coulombus.host.run.control_socket import address_of, control_path
 from coulombus.recording.wall_clock import utc
 from coulombus.wire.address import HOST_SUFFIX, BusAddress
 
-__all__ = ["ending", "forget_word", "last_word", "leave_word", "newest_word"]
+__all__ = ["ending", "forget_word", "last_word", "leave_word", "newest_word", "wall_time"]
 
 SUFFIX = ".last"
 MOST_BYTES = 1 << 16
@@ -31,6 +31,7 @@ KINDS = {
     "trip": (str, type(None)),
     "stopped_by": (str, type(None)),
     "ended": (str,),
+    "tripped": (str, type(None)),
     "lost_pdos": (int,),
     "missed_deadlines": (int,),
 }
@@ -61,6 +62,11 @@ def leave_word(addresses: Iterable[BusAddress], outcome: Mapping[str, Any] | Non
             finally:
                 new.unlink(missing_ok=True)
             _remove_old(path.parent)
+
+
+def wall_time(monotonic_ns: int) -> str | None:
+    """Return a time of the monotonic clock as that of the wall clock; None for 0."""
+    return utc(time.time_ns() - time.monotonic_ns() + monotonic_ns) if monotonic_ns else None
 
 
 def _remove_old(folder: Path) -> None:
@@ -99,11 +105,14 @@ def newest_word() -> tuple[BusAddress, dict[str, Any]] | None:
 
 
 def ending(word: Mapping[str, Any]) -> str:
-    """Return time and reason of a host's end as text: "2026-11-27 10:31:02, stopped by coulombus stop"."""
+    """Return time and reason of a host's end as text: "2026-11-27 10:31:02, stopped by coulombus stop".
+
+    The time is that of the trip, where there was one.
+    """
     trip, stopped_by = word["trip"], word["stopped_by"]
     why = f"trip {trip}" if trip else f"stopped by {stopped_by}" if stopped_by else "its display was over"
     try:
-        at = datetime.fromisoformat(word["ended"]).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+        at = datetime.fromisoformat(word.get("tripped") or word["ended"]).astimezone().strftime("%Y-%m-%d %H:%M:%S")
     except ValueError:
         return str(why)
     return f"{at}, {why}"

@@ -27,7 +27,7 @@ from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_external import switch_of
 from coulombus.host.run.histogram import Counts
-from coulombus.host.run.last_word import forget_word, leave_word
+from coulombus.host.run.last_word import forget_word, leave_word, wall_time
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import place_of
@@ -409,7 +409,7 @@ class RealCourse(Course):
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": self.trip, "exit_status": exit_status}
         self._outcome |= {"stopped_by": self.stopped_by, "lost_pdos": int(k.host["lost_pdos"].sum())}
-        self._outcome |= {"missed_deadlines": int(counters["missed_deadlines"])}
+        self._outcome |= {"missed_deadlines": int(counters["missed_deadlines"]), "tripped": wall_time(k.trip_ns)}
         return self.result_of(
             figures,
             missed_deadlines=counters["missed_deadlines"],

@@ -125,7 +125,7 @@ class HostView:
             kind, why = "lost", KILLED
         else:
             kind, why = "ended", f"stopped by {stopped_by}" if stopped_by else "its display was over"
-        return {"kind": kind, "why": why, "at": text(word.get("ended"))}
+        return {"kind": kind, "why": why, "at": text(word.get("tripped")) or text(word.get("ended"))}
 
     def _axes(self) -> list[Mapping[str, Any]]:
         return [entry for entry in _list((self._status or {}).get("axes")) if isinstance(entry, Mapping)]

@@ -2,6 +2,9 @@
 
 import json
 import os
+import re
+import time
+from datetime import datetime
 
 import pytest
 from click.testing import CliRunner
@@ -10,7 +13,7 @@ from coulombus.cli.main import main
 from coulombus.cli.watch import host_line
 from coulombus.host.run import control_socket
 from coulombus.host.run.control_socket import control_path
-from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word, newest_word
+from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word, newest_word, wall_time
 from coulombus.wire.address import parse_address
 
 BUS = parse_address("coulombus:word")
@@ -120,3 +123,14 @@ def test_a_stop_that_finds_no_host_says_where_one_runs(monkeypatch):
     assert "no host runs on bus coulombus:none; on this machine one runs on coulombus:rehearsal" in " ".join(
         done.output.split()
     )
+
+
+def test_a_trip_is_told_with_its_own_time_not_that_of_the_hosts_end():
+    assert wall_time(0) is None
+    second_ago = wall_time(time.monotonic_ns() - 1_000_000_000)
+    leave_word([BUS], OUTCOME | {"trip": "SPEED: too fast", "tripped": second_ago})
+    word = last_word(BUS)
+    assert 0.9 <= (datetime.fromisoformat(word["ended"]) - datetime.fromisoformat(second_ago)).total_seconds() < 60
+    later = ending(word | {"ended": "2026-11-29T12:00:05+00:00", "tripped": "2026-11-29T12:00:03+00:00"})
+    assert re.match(r"2026-11-29 \d\d:\d\d:03, trip SPEED", later)
+    assert re.match(r"2026-11-29 \d\d:\d\d:05", ending(word | {"ended": "2026-11-29T12:00:05+00:00", "tripped": None}))
