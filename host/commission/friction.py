@@ -13,9 +13,8 @@ compensates nothing. Samples of the sign check, of the gain's ramp and of revers
 (`recording.friction.sliding`).
 
 Significant waves over the angle (`recording.friction.angle_waves`) are part of the fit, and so is a delay of
-the measured torque. Each interval is
-that of the fit (`recording.friction.regression`), combined with the intervals of the motor's torque and of
-the angle from earlier steps (`host.commission.earlier`).
+the measured torque. Each interval is that of the fit (`recording.friction.regression`), combined with the
+intervals of the motor's torque and of the angle from earlier steps (`host.commission.earlier`).
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@ r"""Step "motor": sign and torque constant of the motor, against the transducer,
 
 While the handle slides,
 
-.. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + F(v, x)\,\mathrm{sgn}(v) + J\dot v + f_0 + A \sin(\kappa x + \varphi)
+.. math:: f = -k\,(\tau_m + \delta\,\dot\tau_m) + F(v)\,\mathrm{sgn}(v) + J\dot v + f_0
 
 with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, the friction
-F (`recording.friction.friction_fit`), and the hand's torque f from the transducer. Cogging, ripple and
-uneven friction are fitted where significant (`recording.friction.angle_waves`). k is the ratio of the true to
-the assumed torque. The interval of k is that of clusters (`recording.friction.regression`), combined with
-the transducer's scale. The interval of the torque constant also includes the ratio's.
+F (`recording.friction.friction_fit`), and the hand's torque f from the transducer. Cogging, ripple and uneven
+friction are added where significant (`recording.friction.angle_waves`). k is the ratio of the true to the
+assumed torque. Its interval is that of clusters (`recording.friction.regression`), combined with the
+transducer's scale. The interval of the torque constant also includes the ratio's.
 
 The hand must resist, so that f and the motor's torque cover their range. It must turn the handle slowly, so
 that the cogging is visible over an angle. The sign check, which comes first, detects a motor that turns in
