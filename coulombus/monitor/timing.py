@@ -8,7 +8,7 @@ are counted, not kept, so that the memory does not grow with a recording.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -243,28 +243,43 @@ def as_dict(row: Timing) -> dict[str, object]:
 
 
 def as_lines(rows: Iterable[Timing]) -> Iterator[str]:
-    """Yield the table, at most 80 columns wide if names have at most 22 characters."""
+    """Yield the table, at most 80 columns wide if names have at most 22 characters; a column has one unit."""
     rows = list(rows)
     wide = max((len(row.name) for row in rows), default=4)
-    yield f"{'':>3} {'':<{wide}} {'':>7} {'':>7} {'period':>7} {'jitter [us]':>17} {'from SYNC':>11}"
+    jitters = [(j.p50_us, j.p99_us, j.max_us) if (j := row.jitter) else (None, None, None) for row in rows]
+    syncs = [(s.p50_us, s.max_us) if (s := row.from_sync) else (None, None) for row in rows]
+    jitter_unit, sync_unit = _unit(jitters), _unit(syncs)
+    jitter_head, sync_head = f"jitter [{jitter_unit}]", f"from SYNC [{sync_unit}]"
+    yield f"{'':>3} {'':<{wide}} {'':>7} {'':>7} {'period':>7} {jitter_head:>14} {sync_head:>14}"
     heads = " ".join(f"{text:>5}" for text in ("p50", "p99", "max", "p50", "max"))
     yield f"{'id':>3} {'name':<{wide}} {'frames':>7} {'rate/s':>7} {'[ms]':>7} {heads}"
-    for row in rows:
-        jitter, sync = row.jitter, row.from_sync
-        cells = (
-            *((None, None, None) if jitter is None else (jitter.p50_us, jitter.p99_us, jitter.max_us)),
-            *((None, None) if sync is None else (sync.p50_us, sync.max_us)),
-        )
+    for row, jitter, sync in zip(rows, jitters, syncs, strict=True):
         rate = "-" if row.rate_per_s is None else f"{row.rate_per_s:.1f}"
         period = "-" if row.period_ms is None else f"{row.period_ms:.3f}"
-        times = " ".join(f"{_us(t):>5}" for t in cells)
-        yield f"{row.can_id:03X} {row.name:<{wide}} {row.frames:>7} {rate:>7} {period:>7.7} {times}"
+        times = [f"{_in(t, jitter_unit):>5}" for t in jitter] + [f"{_in(t, sync_unit):>5}" for t in sync]
+        yield f"{row.can_id:03X} {row.name:<{wide}} {row.frames:>7} {rate:>7} {period:>7.7} {' '.join(times)}"
 
 
-def _us(value: float | None) -> str:
-    """Return microseconds in at most five characters."""
-    if value is None:
+UNITS = {"us": 1.0, "ms": 1e3, "s": 1e6}
+"""Units of the table's times [us]."""
+MOST = 99_999.5
+"""Largest number that has five characters."""
+
+
+def _unit(cells: Iterable[Sequence[float | None]]) -> str:
+    """Return the smallest unit in which the largest time has at most five characters."""
+    largest = max((t for row in cells for t in row if t is not None), default=0.0)
+    return next((unit for unit, size in UNITS.items() if largest / size < MOST), "s")
+
+
+def _in(value_us: float | None, unit: str) -> str:
+    """Return a time in at most five characters, with tenths of a microsecond at most."""
+    if value_us is None:
         return "-"
-    if value < 1e5:
-        return f"{value:.1f}" if value < 999.95 else f"{value:.0f}"
-    return f"{value / 1e6:.2f}s" if value < 9.995e6 else f"{value / 1e6:.0f}s"
+    value = value_us / UNITS[unit]
+    decimals = 1 if unit == "us" else 3
+    text = f"{value:.{decimals}f}"
+    while len(text) > 5 and decimals:
+        decimals -= 1
+        text = f"{value:.{decimals}f}"
+    return text

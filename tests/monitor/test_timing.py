@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.monitor.pdo_text import as_lines as pdo_lines
-from coulombus.monitor.timing import Stamps, as_lines, listen, timing
+from coulombus.monitor.timing import Spread, Stamps, Timing, as_lines, listen, timing
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
 from coulombus.system.stop_signals import StopSignals
@@ -61,6 +61,25 @@ def test_names_of_services():
     assert names == [
         "NMT", "SYNC", "brake EMCY", "TIME", "-", "brake SDO tx", "motor SDO rx", "host heartbeat", "LSS_RX",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("largest_us", "head", "cells"),
+    [
+        (99_999.0, "jitter [us]", ["5.6", "999.9", "99999"]),
+        (145_900.0, "jitter [ms]", ["0.006", "1.000", "145.9"]),
+        (2.5e8, "jitter [s]", ["0.000", "0.001", "250.0"]),
+    ],
+)
+def test_a_column_has_one_unit(largest_us, head, cells):
+    rows = [Timing(0x181, "a", 9, 1.0, 1.0, Spread(5.6, 999.9, largest_us), Spread(1.0, 2.0, 9900.0))]
+    rows.append(Timing(0x182, "b", 1, None, None, None, None))
+    first, _, line, other = as_lines(rows)
+    assert head in first
+    assert "from SYNC [us]" in first
+    assert line.split()[5:] == [*cells, "1.0", "9900"]
+    assert other.split()[-5:] == ["-"] * 5
+    assert max(map(len, line.split()[5:])) <= 5
 
 
 @pytest.mark.parametrize("rig", ["bench", "two_axes"])
