@@ -17,7 +17,7 @@ from coulombus.system.foreign_text import printable
 __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
 
 LONGEST = 60
-_LAW = re.compile(r'(?:axis\.[^.]+\.)?law\.function="(.*)"')
+_LAW = re.compile(r'law\.function="(.*)"')
 _KEY = re.compile(
     r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|kinematics|law|mode|limits|plane|plant|operator)(?:\.\w+)+"
 )

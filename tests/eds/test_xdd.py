@@ -411,7 +411,7 @@ def test_a_file_of_100_mb_is_refused(tmp_path):
     with path.open("r+b") as file:
         file.truncate(100_000_000)
     with pytest.raises(
-        EdsError, match=r"large\.xdd:1: has more than 64 MiB; expected an EDS or DCF file, or an XDD or XDC"
+        EdsError, match=r"large\.xdd: has more than 64 MiB; expected an EDS or DCF file, or an XDD or XDC"
     ):
         read_eds(path)
 

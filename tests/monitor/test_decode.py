@@ -301,19 +301,33 @@ class Recorded(DevicesLink):
 
 
 def test_the_device_s_own_file_read_by_the_products_client(decoded):
-    """1021h has 40 kB: the client reads its length, aborts, and reads it by blocks."""
+    """1021h has 40 kB, and is long by its definition: it is read by blocks."""
     link = Recorded()
     link.add(eds("motor"), 1)
     stored = SdoClient(link, 1).upload(0x1021, 0)
+    rows = [row for row in decoded(*link.frames) if row["service"].startswith("SDO")]
+    assert [row["phase"] for row in rows[:2]] == ["Initiate block upload request", "Initiate block upload response"]
+    assert {row["service"] for row in rows} == {"SDO block upload"}
+    assert {row["index"] for row in rows} == {0x1021}
+    assert not any(row["phase"] == "Abort transfer" or "remark" in row for row in rows)
+    assert bytes.fromhex(rows[-1]["content"]) == stored == (EDS / "motor.eds").read_bytes()
+
+
+def test_a_long_object_whose_length_comes_first_is_read_by_blocks_after_an_abort(decoded):
+    link, content = Recorded(), bytes(65 + k % 26 for k in range(1500))
+    link.add(eds("motor"), 1)
+    client = SdoClient(link, 1)
+    client.download(0x2004, 0, content)
+    link.frames.clear()
+    assert client.upload(0x2004, 0) == content
     rows = [row for row in decoded(*link.frames) if row["service"].startswith("SDO")]
     assert [row["phase"] for row in rows[:5]] == [
         "Initiate upload request", "Initiate upload response", "Abort transfer", "Initiate block upload request",
         "Initiate block upload response",
     ]  # fmt: skip
     assert {row["service"] for row in rows[3:]} == {"SDO block upload"}
-    assert {row["index"] for row in rows} == {0x1021}
     assert not any(row["phase"] == "Abort transfer" or "remark" in row for row in rows[3:])
-    assert bytes.fromhex(rows[-1]["content"]) == stored == (EDS / "motor.eds").read_bytes()
+    assert bytes.fromhex(rows[-1]["content"]) == content
 
 
 def test_sdo_values_by_their_data_type():
