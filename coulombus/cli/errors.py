@@ -17,7 +17,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import IO, Any, NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -83,7 +83,7 @@ class Verbs(click.Group):
         except Failure as failure:
             _end(failure)
         except click.ClickException as error:
-            raise _printable(error) from None
+            _refuse(error)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -125,25 +125,20 @@ class Verbs(click.Group):
             _end(failure)
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
-            raise _printable(error) from None
+            _refuse(error)
 
 
-class _Mistake(click.UsageError):
-    """A wrong option or argument, with one line on where the help is."""
-
-    def show(self, file: IO[Any] | None = None) -> None:
-        """Print it to stderr."""
-        if self.ctx is not None:
-            click.echo(f"Try '{self.ctx.command_path} --help' for help.", file, err=True)
-        click.echo(f"Error: {self.format_message()}", file, err=True)
-
-
-def _printable(error: click.ClickException) -> click.ClickException:
-    """Return click's error without control characters in its text."""
+def _refuse(error: click.ClickException) -> NoReturn:
+    """Print click's error without control characters, and for a wrong option or argument one line on where the
+    help is; exit with its status.
+    """
     if isinstance(error, click.UsageError) and not isinstance(error, click.exceptions.NoArgsIsHelpError):
-        return _Mistake(printable(error.format_message()), error.ctx)
+        with verdict(error.exit_code):
+            if error.ctx is not None:
+                say(f"Try '{error.ctx.command_path} --help' for help.")
+            say(f"Error: {error.format_message()}")
     error.message = printable(error.message)  # type: ignore[misc]  # Final to typeshed alone
-    return error
+    raise error from None
 
 
 def _of_other_verbs(error: click.UsageError) -> str:
