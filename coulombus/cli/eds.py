@@ -97,12 +97,9 @@ def _drawing(pdo: PdoLayout) -> str:
 
 def _refusal(file: str, text: str) -> dict[str, Any]:
     """Split ``file:line: text`` of an `EdsError`; a file that cannot be read has no line."""
-    line, _, what = text.removeprefix(f"{file}:").partition(": ")
-    return (
-        {"line": int(line), "text": what}
-        if line.isdecimal()
-        else {"line": None, "text": text.removeprefix(f"{file}: ")}
-    )
+    rest = text.removeprefix(f"{file}:")
+    line, _, what = rest.partition(": ")
+    return {"line": int(line), "text": what} if line.isdecimal() else {"line": None, "text": rest.strip()}
 
 
 def _print(result: dict[str, Any], pdos: bool) -> None:

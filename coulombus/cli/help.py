@@ -41,16 +41,17 @@ def help_(context: click.Context, topic: tuple[str, ...]) -> None:
 
 def _of_the_runbook(topic: tuple[str, ...]) -> str | None:
     """Return the text on a trip or an EMCY code. A command's name is the command's, unless it is in capitals."""
-    from coulombus.host.run.runbook import explained, trip_names
+    from coulombus.host.run.runbook import TRIP_NAMES, explained
     from coulombus.rigs.errors import nearest
 
     if len(topic) != 1 or topic[0] in main.commands:
         return None
-    text = explained(topic[0])
-    near = nearest(topic[0], trip_names())
-    if text is None and near and ("_" in topic[0] or not nearest(topic[0], main.commands)):
+    if (text := explained(topic[0])) is not None:
+        return text
+    near = nearest(topic[0], TRIP_NAMES)
+    if near and ("_" in topic[0] or not nearest(topic[0], main.commands)):
         raise click.UsageError(f"No command, trip or EMCY code '{topic[0]}'{near}")
-    return text
+    return None
 
 
 def _all_commands() -> str:

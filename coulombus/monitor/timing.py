@@ -44,6 +44,11 @@ NODE_SERVICES = {
     int(CobId.HEARTBEAT): "heartbeat",
 }
 
+UNITS = {"us": 1.0, "ms": 1e3, "s": 1e6}
+"""Units of the table's times [us]."""
+MOST = 99_999.5
+"""Largest number that has five characters."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -256,14 +261,8 @@ def as_lines(rows: Iterable[Timing]) -> Iterator[str]:
     for row, jitter, sync in zip(rows, jitters, syncs, strict=True):
         rate = "-" if row.rate_per_s is None else f"{row.rate_per_s:.1f}"
         period = "-" if row.period_ms is None else f"{row.period_ms:.3f}"
-        times = [f"{_in(t, jitter_unit):>5}" for t in jitter] + [f"{_in(t, sync_unit):>5}" for t in sync]
+        times = [f"{_cell(t, jitter_unit):>5}" for t in jitter] + [f"{_cell(t, sync_unit):>5}" for t in sync]
         yield f"{row.can_id:03X} {row.name:<{wide}} {row.frames:>7} {rate:>7} {period:>7.7} {' '.join(times)}"
-
-
-UNITS = {"us": 1.0, "ms": 1e3, "s": 1e6}
-"""Units of the table's times [us]."""
-MOST = 99_999.5
-"""Largest number that has five characters."""
 
 
 def _unit(cells: Iterable[Sequence[float | None]]) -> str:
@@ -272,7 +271,7 @@ def _unit(cells: Iterable[Sequence[float | None]]) -> str:
     return next((unit for unit, size in UNITS.items() if largest / size < MOST), "s")
 
 
-def _in(value_us: float | None, unit: str) -> str:
+def _cell(value_us: float | None, unit: str) -> str:
     """Return a time in at most five characters, with tenths of a microsecond at most."""
     if value_us is None:
         return "-"

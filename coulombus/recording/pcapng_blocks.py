@@ -101,8 +101,8 @@ def other_format(data: bytes, path: str) -> str | None:
         return (
             f"it is a device description: `coulombus eds check {path}` reads it, `coulombus node` simulates the device"
         )
-    known = (text for magic, text in OTHER_FORMATS.items() if data.startswith(bytes.fromhex(magic)))
-    return next((f"it is {text}" for text in known), None)
+    texts = (text for magic, text in OTHER_FORMATS.items() if data.startswith(bytes.fromhex(magic)))
+    return next((f"it is {text}" for text in texts), None)
 
 
 class PcapngError(CoulombusError):

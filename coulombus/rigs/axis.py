@@ -217,8 +217,11 @@ class Axis(Sections):
 
     def refusal(self, key: str, text: str) -> RigError:
         """Return an error with the place of `key`, for later checks; `text` has the cause."""
-        source, path = self.origin.source(self.name), tuple(key.split("."))
-        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {source.said(text)}"])
+        return self._at(tuple(key.split(".")), self.origin.source(self.name).said(text))
+
+    def _at(self, path: Key, text: str) -> RigError:
+        source = self.origin.source(self.name)
+        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {text}"])
 
     def mistake(self, key: str, expected: str) -> RigError:
         """Return an error with the place of `key`, its value, and the `expected` value, for later checks.
@@ -231,7 +234,7 @@ class Axis(Sections):
         for part in path:
             value = value.get(part, {}) if isinstance(value, dict) else value[part]
         got = "by default" if value == {} else f"got '{shown(value)}'"
-        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {got}, expected {source.said(expected)}"])
+        return self._at(path, f"{got}, expected {source.said(expected)}")
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)

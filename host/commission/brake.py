@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.earlier import SCALE, rounded
+from coulombus.host.commission.earlier import SCALE, TABLE, rounded
 from coulombus.host.commission.samples import Floats, handle_torque, held, independent, motion
 from coulombus.host.commission.step import (
     CommissionError,
@@ -167,7 +167,7 @@ class Brake(Step):
         basis = f"{len(stairs)} stairs, slip both ways, up and down"
         old = [list(point) for point in setpoint.table] or None
         findings = (
-            Finding("role.brake_setpoint.table", "brake's table", old, table, "[raw, Nm]", reach, basis, changed=other),
+            Finding(TABLE, "brake's table", old, table, "[raw, Nm]", reach, basis, changed=other),
             Finding("", "brake's hysteresis, up against down", None, round(gap, 4), "Nm", gap_reach, basis),
             Finding(
                 "", "break-away against slip", None, round(float(np.mean(lets)), 3) if lets else None, "", None, basis

@@ -101,7 +101,6 @@ class LagFit:
         `iron_share`: share of the torque by which the brake's iron remembers. That share follows the coil later, by
         about the coil's time, which the recording does not tell from a delay: so the intervals include it.
         """
-        late_s = iron_share * 0.5 * float(self.best[1]) * (1 - math.sqrt(max(1 - float(self.best[2]), 0.0)))
         names: dict[str, Callable[[float, float, float], float]] = {
             "brake: 63 % after": lambda delay, total, q: _reached(1 - math.exp(-1), delay, total, q),
             "brake: 95 % after": lambda delay, total, q: _reached(0.95, delay, total, q),
@@ -109,6 +108,7 @@ class LagFit:
             "brake: faster lag (coil)": lambda delay, total, q: 0.5 * total * (1 - math.sqrt(max(1 - q, 0.0))),
             "brake: slower lag (fluid)": lambda delay, total, q: 0.5 * total * (1 + math.sqrt(max(1 - q, 0.0))),
         }
+        late_s = iron_share * names["brake: faster lag (coil)"](*self.best)
         figures = {}
         for name, figure in names.items():
             value = float(figure(*self.best))

@@ -10,12 +10,13 @@ from coulombus.eds.cia301 import emcy_text
 from coulombus.host.cycle.records import Trip
 from coulombus.system.wrap_text import hanging
 
-__all__ = ["advice", "entry", "explained", "trip_names"]
+__all__ = ["TRIP_NAMES", "advice", "entry", "explained"]
 
 _WORD = re.compile(r"[A-Z][A-Z0-9_]{2,}")
 _CODE = re.compile(r"(?:0x)?([0-9a-f]{4})h?", re.IGNORECASE)
 _ROW = re.compile(r"^\| ([0-9A-F]{4})h(?: and above)? \| ([^|]*) \| ([^|]*) \|$", re.MULTILINE)
 _STEP = re.compile(r"\d\. ")
+TRIP_NAMES = tuple(trip.name for trip in Trip if trip is not Trip.NONE)
 MANUFACTURER = 0xFF00
 WIDTH = 80
 EMCY_STEPS = """1. {remedy}
@@ -25,29 +26,24 @@ EMCY_STEPS = """1. {remedy}
 Do not reset a fault again and again without its cause."""
 
 
-def trip_names() -> tuple[str, ...]:
-    """Return the names of all trips."""
-    return tuple(trip.name for trip in Trip if trip is not Trip.NONE)
-
-
-def named_trip(text: str) -> str | None:
+def _named_trip(text: str) -> str | None:
     """Return the name of the trip in a trip's text; None if it names none.
 
     A cause takes precedence over the trip of another axis or bus (OTHER_AXIS).
     """
-    names = [word for word in _WORD.findall(text) if word in trip_names()]
+    names = [word for word in _WORD.findall(text) if word in TRIP_NAMES]
     return next((word for word in names if word != Trip.OTHER_AXIS.name), next(iter(names), None))
 
 
 def advice(text: str) -> str | None:
     """Return the command that explains the trip in a trip's text, as ``coulombus help SPEED``; None if it names none."""
-    name = named_trip(text)
+    name = _named_trip(text)
     return None if name is None else f"coulombus help {name}"
 
 
 def entry(text: str) -> str | None:
     """Return the runbook's section for a trip's text, as one line; None if it names no trip."""
-    name = named_trip(text)
+    name = _named_trip(text)
     return None if name is None else " ".join(_sections()[name.lower()].split())
 
 
@@ -57,7 +53,7 @@ def explained(name: str) -> str | None:
     None: it is neither.
     """
     code = _CODE.fullmatch(name)
-    if name.upper() in trip_names():
+    if name.upper() in TRIP_NAMES:
         title, text = f"{name.upper()}: a trip", _sections()[name.lower()]
     elif code:
         title, text = _emcy(int(code[1], 16))

@@ -120,29 +120,23 @@ def files(service: Service) -> dict[str, str]:
         units["coulombus-bridge.service"] = _bridge(service)
     if service.user:
         return units | {"INSTALL.txt": USER_INSTALL.format(doctor=service.typed("doctor"))}
-    known = {
+    units |= {
         "coulombus-sysusers.conf": SYSUSERS,
         "coulombus-tmpfiles.conf": TMPFILES,
         "90-coulombus-limits.conf": LIMITS,
     }
-    stop = f"sudo -u {USER} env XDG_RUNTIME_DIR=/run/coulombus {service.typed('stop')}"
-    if not service.on_interface:
-        return (
-            units | known | {"INSTALL.txt": INSTALL.format(devices="", start="coulombus-sim coulombus-host", stop=stop)}
-        )
-    irqs = shell(f"^irq/[0-9]+-{extended_regex(name)}$")
-    devices = DEVICES.format(name=name)
-    return (
-        units
-        | known
-        | {
+    devices, start = "", "coulombus-sim coulombus-host"
+    if service.on_interface:
+        devices, start = DEVICES.format(name=name), "coulombus-host"
+        irqs = shell(f"^irq/[0-9]+-{extended_regex(name)}$")
+        units |= {
             "90-coulombus.rules": RULES,
             f"80-coulombus-{name}.network": _network(name, service.bitrate_bit_s),
             f"80-coulombus-{name}.link": LINK.format(name=name),
             f"{name}-up.sh": UP.format(name=shell(name), rate=service.bitrate_bit_s, irqs=irqs),
-            "INSTALL.txt": INSTALL.format(devices=devices, start="coulombus-host", stop=stop),
         }
-    )
+    stop = f"sudo -u {USER} env XDG_RUNTIME_DIR=/run/coulombus {service.typed('stop')}"
+    return units | {"INSTALL.txt": INSTALL.format(devices=devices, start=start, stop=stop)}
 
 
 def _unit(

@@ -113,14 +113,17 @@ def find_waves(slides: Sliding, ratio: float, kinds: Sequence[Kind], gain: float
     kinds : to look for, in this order; each is fitted with those before it
     gain : of the motor's torque; None: also fitted (the hand must resist the motor)
     """
+    rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
     waves: tuple[AngleWave, ...] = ()
+    if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
+        return waves
     for kind in kinds:
         if kind == "uneven":
             candidates, reach = [AngleWave(kind, k, k) for k in range(1, MOST_UNEVEN_PERIODS + 1)], 0.5
         else:
             candidates, reach = [AngleWave(kind, k, k * ratio) for k in range(1, MOST_PERIODS + 1)], 0.0
-        found = _found(slides, gain, candidates, waves, reach)
-        waves += () if found is None else (found,)
+        wave = _strongest(rows, slides.slides, gain, candidates, waves, reach)
+        waves += () if wave is None else (wave,)
     return waves
 
 
@@ -129,8 +132,9 @@ def wave_columns(waves: Sequence[AngleWave], rows: Equations, slides: tuple[Slid
     return {name: column for wave in waves for name, column in wave.columns(rows, slides).items()}
 
 
-def _found(
-    slides: Sliding,
+def _strongest(
+    rows: Equations,
+    slides: tuple[Slide, ...],
     gain: float | None,
     candidates: Sequence[AngleWave],
     others: Sequence[AngleWave],
@@ -140,20 +144,17 @@ def _found(
 
     `reach`: by how much the phase per rad may differ from the candidate's, besides `RATIO_SHARE` of it.
     """
-    rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
-    if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
-        return None
     here = slice(0, MOST_ROWS)
     torque = (rows.hand_Nm if gain is None else rows.hand_Nm + gain * rows.motor_Nm)[here]
     common = [np.sign(rows.v), rows.v, rows.a, np.ones(len(rows.v))]
     if gain is None:
         common.append(rows.motor_Nm)
-    common += [column for column, _ in wave_columns(others, rows, slides.slides).values()]
+    common += [column for column, _ in wave_columns(others, rows, slides).values()]
     base, _ = np.linalg.qr(np.stack(common, 1)[here])
     left = torque - base @ (base.T @ torque)
 
     def columns(wave: AngleWave) -> Any:
-        matrix = np.stack([column[here] for column, _ in wave.columns(rows, slides.slides).values()], 1)
+        matrix = np.stack([column[here] for column, _ in wave.columns(rows, slides).values()], 1)
         return matrix - base @ (base.T @ matrix)
 
     def remaining(wave: AngleWave) -> float:
