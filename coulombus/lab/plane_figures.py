@@ -52,10 +52,9 @@ class TipSamples:
 
     def errors(self, force_N: Floats) -> dict[str, Any]:
         """Return how a force differs from the desired one in the samples that are compared."""
-        kept = self.compared
-        if not kept.any():
+        if not self.compared.any():
             return {"angle_error_deg": {"median": None, "p95": None}, "force_ratio": None, "force_ratio_p95": None}
-        force_N, wanted_N = force_N[kept], self.wanted_N[kept]
+        force_N, wanted_N = force_N[self.compared], self.wanted_N[self.compared]
         off_deg = _angle_deg(force_N, wanted_N)
         ratio = np.hypot(*force_N.T) / np.maximum(np.hypot(*wanted_N.T), np.finfo(float).tiny)
         return {

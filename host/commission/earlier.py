@@ -36,9 +36,11 @@ def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         for finding in step["findings"]:
             old, new, reach = finding["old"], finding["new"], finding["uncertainty"]
             name = finding["key"] or finding["name"]
-            if name == TABLE and reach is not None and new:
+            if reach is None:
+                continue
+            if name == TABLE and new:
                 known[name] = reach / max(abs(torque) for _, torque in new)
-            if reach is None or not isinstance(new, int | float):
+            if not isinstance(new, int | float):
                 continue
             kept = new if finding["changed"] else old
             if isinstance(kept, int | float) and kept:

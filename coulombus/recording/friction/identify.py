@@ -126,7 +126,7 @@ def identified(
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad, window_s)
     notes = list(slides.remarks)
-    found = () if ratio is None else find_waves(slides, ratio, kinds)
+    candidates = () if ratio is None else find_waves(slides, ratio, kinds)
     delay = torque_delay(rows, slides)
     levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
 
@@ -134,11 +134,11 @@ def identified(
         columns = wave_columns(waves, rows, slides.slides) | delay
         return fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, columns, levels)
 
-    device = fitted(found)
-    kept = tuple(wave for wave in found if wave.kind != "cogging" or wave.stands_out(device.others))
-    if kept != found:
-        device = fitted(kept)
-    waves = wave_columns(kept, rows, slides.slides)
+    device = fitted(candidates)
+    significant = tuple(wave for wave in candidates if wave.kind != "cogging" or wave.stands_out(device.others))
+    if significant != candidates:
+        device = fitted(significant)
+    waves = wave_columns(significant, rows, slides.slides)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
     return Identification(
         path=path,
@@ -148,7 +148,7 @@ def identified(
         coil_off=slides.coil_off,
         left_out=slides.left_out,
         remarks=tuple(notes),
-        waves=kept,
+        waves=significant,
         v_rad_s=rows.v,
         felt_Nm=rows.hand_Nm - felt.inertia_and_offset_Nm(rows.a),
     )
