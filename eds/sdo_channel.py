@@ -21,7 +21,7 @@ from coulombus.eds.sdo_forms import Form, form_of
 from coulombus.eds.sdo_frames import where
 from coulombus.eds.sdo_joining import Joined, Segments, SubBlocks
 
-__all__ = ["SdoChannel", "Transfer"]
+__all__ = ["NO_BEGINNING", "SdoChannel", "Transfer"]
 
 Row: TypeAlias = dict[str, Any]
 

@@ -10,13 +10,18 @@ from dataclasses import dataclass, field
 
 from coulombus.eds.sdo_frames import crc16
 
-__all__ = ["BLOCK_SEGMENTS", "Joined", "Segments", "SubBlocks"]
+__all__ = ["BLOCK_SEGMENTS", "Joined", "Segments", "SubBlocks", "are_wrong"]
 
 BLOCK_SEGMENTS = 127
 """Largest number of segments in a block."""
 _SEGMENT = 7
 _MOST_BYTES = 1 << 26
 """Bytes beyond this number are counted but not stored."""
+
+
+def are_wrong(remark: str) -> bool:
+    """Return whether a remark on a whole transfer says that its data are not what was announced."""
+    return remark.startswith("CRC ") or "bytes were announced" in remark
 
 
 @dataclass

@@ -10,7 +10,7 @@ from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
-from coulombus.explain.frames import Block
+from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import Map, identified, maps_of
 
@@ -73,6 +73,8 @@ class Bus:
         self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, SeenNode] = {}
+        self.first_of: dict[int, int] = {}
+        """Time [ns] of the first frame of each key."""
         self.orders: list[Order] = []
         self.descriptions, self.fixed, self.names = descriptions, fixed, names
         self.maps: dict[int, Map] = dict(fixed)
@@ -84,6 +86,10 @@ class Bus:
         self.host_runs = False  # whether a host of this project has begun its cycle, and not ended
         self.canopen = 0  # frames that occur only in CANopen
         self.stale = True
+        self.sync_period_ns = 0
+        """Period of SYNC [ns]; 0 until it is learned."""
+        self.two_sync: list[tuple[int, int]] = []
+        """Times [ns] within which two nodes produce SYNC, as known."""
         self.bitrate = 0
         """Bit rate [bit/s] of the rig; 0: unknown."""
         self.host = -1
@@ -103,6 +109,7 @@ class Bus:
         self.frames += len(block.t_ns)
         for key, group in block.groups.items():
             self.counts[key] = self.counts.get(key, 0) + len(group)
+            self.first_of.setdefault(key, int(group.t_ns[0]))
 
     def node(self, number: int, t_ns: int) -> SeenNode:
         """Return the record of a node that sent a frame."""
@@ -134,11 +141,11 @@ class Bus:
             return number
         return None
 
-    def last_heard(self, block: Block, number: int, before_ns: int) -> int:
+    def last_heard(self, block: Block | None, number: int, before_ns: int) -> int:
         """Return the time of the node's last frame before this time; -1 if none is known."""
         node = self.nodes.get(number)
         last = node.last_ns if node is not None and node.last_ns < before_ns else -1
-        for key, group in block.groups.items():
+        for key, group in block.groups.items() if block is not None else ():
             if self.sender(key) == number:
                 place = int(group.t_ns.searchsorted(before_ns))
                 if place:
@@ -155,6 +162,46 @@ class Bus:
             if order.concerns(number) and (not targets or TARGET.get(NmtCommand(order.command)) in targets):
                 return order
         return None
+
+    def present(self, number: int, t_ns: int) -> bool:
+        """Return whether a frame of a node came until a time [ns]."""
+        node = self.nodes.get(number)
+        return node is not None and node.first_ns <= t_ns
+
+    def heartbeat_periods(self, t_ns: int) -> list[int]:
+        """Return the periods [ns] of all heartbeats but the host's that were learned until a time [ns]."""
+        return [
+            node.period_ns
+            for node in self.nodes.values()
+            if node.period_ns and node.learned_ns <= t_ns and not self.is_host(node.number, t_ns)
+        ]
+
+    def is_host(self, number: int, t_ns: int) -> bool:
+        """Return whether a node is the host, as far as it is known at a time [ns].
+
+        Without 1016h it is the only node that sent heartbeats and nothing else, that nobody asked or
+        commanded by its id, and that stayed OPERATIONAL, on a bus with NMT commands.
+        """
+        if self.host >= 0:
+            return number == self.host
+        commanded = {order.node for order in self.orders if order.t_ns <= t_ns}
+        alone = [n for n in self.nodes if self.present(n, t_ns) and self._only_beats(n, t_ns, commanded)]
+        return bool(commanded) and alone == [number]
+
+    def _only_beats(self, number: int, t_ns: int, commanded: set[int]) -> bool:
+        others = (
+            REMOTE | HEARTBEAT + number,
+            SDO_RX + number,
+            SDO_TX + number,
+            EMCY + number,
+            *(base + number for base in TPDOS),
+        )
+        node = self.nodes[number]
+        return (
+            node.always_operational
+            and number not in commanded
+            and not any(0 <= self.first_of.get(key, -1) <= t_ns for key in others)
+        )
 
     def left_on_order(self, number: int, before_ns: int) -> bool:
         """Return whether the last NMT command to a node before this time was not a start."""

@@ -9,6 +9,7 @@ from coulombus.explain.frames import REMOTE, Block, Integers
 from coulombus.kernels.decorator import kernel
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.can_flags import CAN_ERR_FLAG
+from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["BusLoad"]
 
@@ -17,12 +18,12 @@ RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 1_000_000)
 WINDOW_NS = 20_000_000
 FULL, FILLED = 0.9, 5
 """Load, and number of successive windows, of a full bus."""
-LEARN = 2000
-"""Frames from which the bit rate is learned."""
+LEARN, BATCHES = 2000, 10
+"""Frames from which the bit rate is learned, and number of times."""
 FASTER, CLOSE = 0.01, 0.05
 """Allowed share of frames sooner than the bit rate permits; least share of back-to-back frames."""
 REGULAR = 5
-"""Least number of windows in which an identifier is usual, for its absence to be noted."""
+"""Least number of frames in so many windows of a usual identifier, for its absence to be noted."""
 
 
 @kernel
@@ -42,87 +43,115 @@ class BusLoad:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self.bitrate = bus.bitrate
+        self._new = np.zeros(0, FRAME)  # frames to learn from
         self._learned = 0
-        self._bits: dict[int, float] = {}  # by window: windows begun by the last block
-        self._full = 0
-        self._usual: dict[int, float] = {}  # frames of an identifier in a window that is not full
+        self._rest = np.zeros(0, FRAME)  # of the window that is not complete
         self._windows = 0
+        self._counts: dict[int, int] = {}  # frames of an identifier in windows that are not full
+        self._full: list[tuple[int, int, dict[int, int]]] = []  # successive full windows: number, first row, counts
         _bits_of(*[np.zeros(0, np.int64)] * 4)  # loads the machine code, while no frame of a live bus waits
 
     def take(self, block: Block) -> None:
         """Process a block."""
-        if len(block.t_ns) < 2:
-            return
-        can_id, length, word = (
-            np.ascontiguousarray(block.frames[name], np.int64) for name in ("can_id", "length", "word")
-        )
-        bits = np.zeros(len(block.t_ns), np.int64)
-        _bits_of(can_id, length, word, bits)
-        if not self.bus.bitrate and self._learned < 10 * LEARN:
-            self._learn(block.t_ns, bits)
-        if not self.bitrate:
-            return
-        self._fill(block, bits)
+        frames, row = block.frames, block.first_row
+        if not self.bus.bitrate and self._learned < BATCHES:
+            row -= len(self._new)
+            frames = np.concatenate((self._new, frames))
+            while len(frames) >= LEARN and self._learned < BATCHES:
+                self._learn(frames[:LEARN])
+                self._fill(frames[:LEARN], row)
+                frames, row = frames[LEARN:], row + LEARN
+            self._new = frames[:0]
+            if self._learned < BATCHES:
+                self._new = frames
+                return
+        self._fill(frames, row)
 
-    def _learn(self, t_ns: Integers, bits: Integers) -> None:
+    def _fill(self, new: Records, row: int) -> None:
+        """Process the windows that these frames complete."""
+        if len(new) == 0:
+            return
+        frames = np.concatenate((self._rest, new))
+        first_row = row - len(self._rest)
+        window = np.maximum.accumulate(np.ascontiguousarray(frames["t_ns"]) // WINDOW_NS)  # stamps may step back
+        complete = int(window.searchsorted(window[-1]))
+        self._rest = frames[complete:]
+        if complete and self.bitrate:
+            self._process(Block(frames[:complete], first_row), window[:complete])
+
+    def _process(self, block: Block, window: Integers) -> None:
+        """Process whole windows."""
+        bits = _bits(block.frames)
+        starts = np.flatnonzero(np.diff(window, prepend=-1))
+        sums = np.add.reduceat(bits, starts)
+        full = sums / (self.bitrate * WINDOW_NS / 1e9) >= FULL
+        begin = 0
+        for i in np.flatnonzero(full).tolist():
+            start = int(starts[i])
+            end = int(starts[i + 1]) if i + 1 < len(starts) else len(window)
+            self._free(block, begin, start)
+            begin = end
+            if self._full and int(window[start]) != self._full[-1][0] + 1:
+                self._over()
+            self._full.append((int(window[start]), block.first_row + start, _counts(block, start, end)))
+            self._full = self._full[-FILLED:] if self.clues.stands("bus_load", None) else self._full
+            if len(self._full) == FILLED and not self.clues.stands("bus_load", None):
+                self._note()
+        self._free(block, begin, len(window))
+        self._windows += int(np.count_nonzero(~full))
+        if self._full and int(window[-1]) > self._full[-1][0]:
+            self._over()
+
+    def _learn(self, frames: Records) -> None:
         """Find the lowest bit rate at which these frames are possible."""
-        gaps = np.diff(t_ns)
-        self._learned += len(gaps)
+        self._learned += 1
+        gaps, bits = np.diff(frames["t_ns"]), _bits(frames)[1:]
         for rate in RATES:
-            share = gaps * rate / 1e9 / np.maximum(bits[1:], 47)
+            share = gaps * rate / 1e9 / np.maximum(bits, 47)
             if (share < 0.8).mean() <= FASTER:
-                if rate >= self.bitrate and (share < 1.25).mean() >= CLOSE and len(gaps) >= LEARN:
+                if rate >= self.bitrate and (share < 1.25).mean() >= CLOSE:
                     self.bitrate = rate
                 return
 
-    def _fill(self, block: Block, bits: Integers) -> None:
-        window = np.maximum.accumulate(block.t_ns // WINDOW_NS)  # stamps may step back
-        first, last = int(window[0]), int(window[-1])
-        if last - first > 100_000:
-            return  # a log with a gap
-        sums = np.bincount(window - first, weights=bits)
-        sums[0] += self._bits.pop(first, 0.0)
-        self._bits = {last: float(sums[-1])}
-        full = sums[:-1] / (self.bitrate * WINDOW_NS / 1e9) >= FULL
-        free = int(full.argmax()) if full.any() else len(full)
-        if not self._full:
-            self._count(block, free, block.first_row + int(np.searchsorted(window, first + free)))
-        if not full.any():
-            self._full = 0
-            if self.clues.stands("bus_load", None):
-                self.clues.end("bus_load", None, (first + 1) * WINDOW_NS, "the load is lower again")
-            return
-        for i in range(len(full)):
-            self._full = self._full + 1 if full[i] else 0
-            if not full[i]:
-                self.clues.end("bus_load", None, (first + i) * WINDOW_NS, "the load is lower again")
-            elif self._full == FILLED:
-                self._note(block, window, (first + i - FILLED + 1) * WINDOW_NS, first + i)
+    def _free(self, block: Block, start: int, end: int) -> None:
+        """Count the frames in windows that are not full."""
+        for key, count in _counts(block, start, end).items():
+            self._counts[key] = self._counts.get(key, 0) + count
 
-    def _count(self, block: Block, windows: int, behind_row: int) -> None:
-        """Learn the usual number of frames of each identifier in windows that are not full."""
-        if windows < 1:
-            return
-        for key, group in block.groups.items():
-            if key < REMOTE:
-                frames = self._usual.get(key, 0.0) * self._windows + int(np.searchsorted(group.rows, behind_row))
-                self._usual[key] = frames / (self._windows + windows)
-        self._windows += windows
+    def _over(self) -> None:
+        """End a full bus."""
+        self.clues.end("bus_load", None, (self._full[-1][0] + 1) * WINDOW_NS, "the load is lower again")
+        self._full.clear()
 
-    def _note(self, block: Block, window: Integers, begin_ns: int, last: int) -> None:
+    def _note(self) -> None:
         """Note a full bus, its most frequent identifier, and the missing ones."""
-        first, behind = np.searchsorted(window, (last - FILLED + 1, last + 1))
-        rows = block.first_row + first, block.first_row + behind
-        counts = {
-            key: int(np.searchsorted(group.rows, rows[1]) - np.searchsorted(group.rows, rows[0]))
-            for key, group in block.groups.items()
-        }
+        counts: dict[int, int] = {}
+        for _, _, some in self._full:
+            for key, count in some.items():
+                counts[key] = counts.get(key, 0) + count
+        (first, row, _), number = self._full[0], max(self._windows, 1)
+        begin = max(first * WINDOW_NS, self.bus.first_ns)
         top = max(counts, key=lambda key: counts[key])
-        share = counts[top] / max(int(behind - first), 1)
+        share = counts[top] / max(sum(counts.values()), 1)
         text = f"the bus is full for {FILLED * WINDOW_NS // 1_000_000} ms at {self.bitrate // 1000} kbit/s"
         text += f": {share:.0%} of the frames are {top:03X}h" if share > 0.5 else ""
-        self.clues.begin("bus_load", None, max(begin_ns, self.bus.first_ns), text, row=int(rows[0]))
-        for key, usual in self._usual.items():
-            if usual * FILLED >= REGULAR and not counts.get(key) and key > top:
+        self.clues.begin("bus_load", None, begin, text, row=row)
+        for key, usual in self._counts.items():
+            if key < REMOTE and usual * FILLED >= REGULAR * number and not counts.get(key) and key > top:
                 text = f"{key:03X}h does not come, {top:03X}h goes before it"
-                self.clues.note("starved", self.bus.sender(key), begin_ns, text, row=int(rows[0]), subject=key)
+                self.clues.note("starved", self.bus.sender(key), begin, text, row=row, subject=key)
+
+
+def _bits(frames: Records) -> Integers:
+    """Return the bits of each frame on the wire."""
+    can_id, length, word = (np.ascontiguousarray(frames[name], np.int64) for name in ("can_id", "length", "word"))
+    bits = np.zeros(len(frames), np.int64)
+    _bits_of(can_id, length, word, bits)
+    return bits
+
+
+def _counts(block: Block, start: int, end: int) -> dict[int, int]:
+    """Return the frames of each identifier between two places of a block."""
+    rows = block.first_row + start, block.first_row + end
+    found = {key: np.diff(group.rows.searchsorted(rows)) for key, group in block.groups.items()} if end > start else {}
+    return {key: int(count[0]) for key, count in found.items() if count[0]}

@@ -24,10 +24,14 @@ class Clue:
     begin_ns: int
     text: str
     end_ns: int | None = None
+    due_ns: int = -1
+    """Time from which a listener may know it: for an absence, the time at which the first missing frame was due."""
     last_ns: int = 0
     count: int = 1
     axis: int = 0
     end_text: str = ""
+    who: str = ""
+    """Culprit, if it is another than that of its kind."""
     check: str = ""
     """First check, if it is more specific than that of its kind."""
     rows: list[int] = field(default_factory=list)
@@ -42,13 +46,26 @@ class Clues:
         self._number: dict[tuple[str, int | None], int] = {}
 
     def begin(
-        self, kind: str, node: int | None, t_ns: int, text: str, *, row: int = -1, subject: object = None
+        self,
+        kind: str,
+        node: int | None,
+        t_ns: int,
+        text: str,
+        *,
+        row: int = -1,
+        subject: object = None,
+        due_ns: int = -1,
     ) -> Clue:
-        """Open a clue, or count it if it is already open."""
+        """Open a clue, or count it if it is already open.
+
+        An absence, which has the time `due_ns`, is not merged with an earlier one.
+        """
         key = (kind, node, subject)
         clue = self._last.get(key)
-        if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > MERGED_NS and self._room(kind, node)):
-            clue = Clue(kind, node, t_ns, text, last_ns=t_ns, rows=[row] if row >= 0 else [])
+        apart_ns = MERGED_NS if due_ns < 0 else -1
+        if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > apart_ns and self._room(kind, node)):
+            due_ns = t_ns if due_ns < 0 else due_ns
+            clue = Clue(kind, node, t_ns, text, due_ns=due_ns, last_ns=t_ns, rows=[row] if row >= 0 else [])
             self.all.append(clue)
             self._last[key] = clue
             return clue
@@ -94,6 +111,12 @@ class Clues:
         """Return whether such a clue is open."""
         clue = self._last.get((kind, node, subject))
         return clue is not None and clue.end_ns is None
+
+    def retract(self, clues: list[Clue]) -> None:
+        """Remove clues whose ground turned out to be wrong."""
+        gone = {id(clue) for clue in clues}
+        self.all = [clue for clue in self.all if id(clue) not in gone]
+        self._last = {key: clue for key, clue in self._last.items() if id(clue) not in gone}
 
     def _room(self, kind: str, node: int | None) -> bool:
         number = self._number[kind, node] = self._number.get((kind, node), 0) + 1

@@ -44,7 +44,7 @@ class DriveValues:
                 self._wish(known.node, axis, group.t_ns, _column(group, field))
         for group, known in self._pdos(block, "tpdo"):
             fields = {(low, axis): field for low in (STATUS, MODE_SHOWN, TORQUE) for axis, field in known.find(low)}
-            axes = {axis for low, axis in fields if low == STATUS}
+            axes = {axis for low, axis in fields if low == STATUS and self._is_source(known, axis)}
             for axis in axes:
                 status = _column(group, fields[STATUS, axis])
                 state = STATE_OF_STATUSWORD[status & 0x7F]
@@ -59,6 +59,16 @@ class DriveValues:
             known = self.bus.maps.get(key)
             if known is not None and known.direction == direction and (group.length >= known.length).all():
                 yield group, known
+
+    def _is_source(self, known: Map, axis: int) -> bool:
+        """Return whether a PDO is the first one of the log with this axis' statusword."""
+        first = self.bus.first_of
+        sources = [
+            other.can_id
+            for other in self.bus.maps.values()
+            if other.node == known.node and other.can_id in first and axis in {a for a, _ in other.find(STATUS)}
+        ]
+        return known.can_id == min(sources, key=lambda can_id: first[can_id])
 
     def _status(self, group: Frames, node: int, axis: int, status: Integers) -> None:
         mode = self._modes.get((node, axis), self._shown(node, axis))

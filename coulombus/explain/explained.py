@@ -15,7 +15,7 @@ from coulombus.explain.bus_load import BusLoad
 from coulombus.explain.disturbances import Disturbances
 from coulombus.explain.drive_states import Drives
 from coulombus.explain.drive_values import DriveValues
-from coulombus.explain.frames import ERROR, EXTENDED, Block, Integers, Pieces
+from coulombus.explain.frames import BLOCK, ERROR, EXTENDED, Block, Integers
 from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incidents import Incident, join
@@ -23,8 +23,9 @@ from coulombus.explain.lengths import Lengths
 from coulombus.explain.nmt_orders import Orders
 from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
-from coulombus.explain.periods import Timing
+from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
+from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
@@ -108,15 +109,22 @@ class Explainer:
         )
         self.bus.host = rig.host.node_id if rig is not None else -1
         self._rare = RareFrames(self.bus)
-        self._timing, self._drives = Timing(self.bus), Drives(self.bus)
+        self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
         if rig is not None:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(Orders(self.bus), Disturbances(self.bus), self._host, BusLoad(self.bus), self._drives, self._timing),
-            *(PdoTimers(self.bus), Lengths(self.bus), DriveValues(self.bus), self._identifiers),
+            *(Orders(self.bus), Disturbances(self.bus), self._host, BusLoad(self.bus)),
+            *(
+                self._drives,
+                self._sync,
+                self._pdos,
+                PdoTimers(self.bus),
+                Lengths(self.bus),
+                DriveValues(self.bus),
+                self._identifiers,
+            ),
         )
-        self._pieces = Pieces()
         self._span = span
         self._epoch_ns: int | None = None
         self._shown: dict[int, tuple[int, int, bytes]] = {}
@@ -137,29 +145,28 @@ class Explainer:
         if inside is not None:
             self._host.take_inside(inside)
         remarks = list(comments)
-        for block in self._pieces.take(*self._inside(frames, remarks)):
-            self._block(block)
+        inner, remarks = self._inside(frames, remarks)
+        whole = Block(inner, self.bus.frames, tuple(remarks))
+        for start in range(0, max(len(inner), 1), BLOCK):
+            self._block(whole.part(start, min(start + BLOCK, len(inner))))
 
     def look(self, now_ns: int = -1) -> None:
         """Note overdue events at the last frame, or at a later time [ns] up to which all frames were taken."""
-        if 0 <= self._pieces.first_ns < now_ns:  # SYNC has stopped: frames that wait for it would look overdue
-            self._block(self._pieces.end(last=False))
         t_ns = max(self.bus.last_ns, now_ns)
-        for observer in (self._rare, self._timing, self._drives):
+        self._rare.look(None, t_ns)
+        for observer in (self._drives, self._sync, self._pdos):
             observer.look(t_ns)
 
     def end(self) -> None:
-        """Process the remaining frames, and note overdue events once more."""
-        self._block(self._pieces.end())
+        """Process the remaining markers."""
         for t_ns, text in self._late:
             if self._is_in_span(np.array([t_ns])).all():
                 self._host.mark(t_ns, text, self.bus.frames - 1)
         self.look()
-        self._rare.end(self.bus.last_ns)
 
     def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
         """Return the explanation so far."""
-        incidents = tuple(join(self.bus.clues.all))
+        incidents = tuple(join([*self.bus.clues.all, *self._rare.sdo.missing()]))
         states = {incident.status for incident in incidents}
         verdict = next((word for word in VERDICTS if word in states), "ok")
         return Explanation(
@@ -204,10 +211,9 @@ class Explainer:
 
     def _block(self, block: Block) -> None:
         self.bus.take(block)
-        self._rare.take(block)
-        self.bus.renew()
-        for observer in self._others:
-            observer.take(block)
+        for part in self._rare.parts(block):
+            for observer in self._others:
+                observer.take(part)
         self._keep(block)
 
     def _keep(self, block: Block) -> None:

@@ -81,6 +81,7 @@ def _incident(explanation: Explanation, incident: Incident) -> dict[str, Any]:
         "node": incident.node,
         "axis": incident.axes[0] if len(incident.axes) == 1 else None,
         "kind": root.kind,
+        "who": incident.who,
         "title": title(explanation, incident),
         "t_s": explanation.at_s(incident.begin_ns),
         "end_s": explanation.at_s(incident.end_ns),

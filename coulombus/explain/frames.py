@@ -1,4 +1,4 @@
-"""Frames for the observers: some thousands at a time, grouped by identifier."""
+"""Frames for the observers: many at a time, grouped by identifier."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import CobId
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import Records
 
-__all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Pieces"]
+__all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Rolling"]
 
 Integers = npt.NDArray[np.int64]
 
 BLOCK = 1 << 16
 """Maximum frames of a block: 2.6 MB."""
-FAR, FAR_NS = 8192, 1_000_000_000
-"""Frames, or ns, after the last SYNC beyond which a block no longer ends before it."""
 SYNC = int(CobId.SYNC)
 REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
 """Bits of a group's key above the 11 bits of a base identifier."""
@@ -49,14 +47,18 @@ class Frames:
 class Block:
     """Some frames of a log, with their comments.
 
-    A block begins with a SYNC if possible, so that the frames after a SYNC are in one block.
-    `comments` are (row within the block, text); `last`: no block follows.
+    `comments` are (row within the block, text).
     """
 
     frames: Records
     first_row: int
     comments: tuple[tuple[int, str], ...] = ()
-    last: bool = False
+
+    def part(self, start: int, end: int) -> Block:
+        """Return the frames from `start` until before `end`, with their comments."""
+        last = end == len(self.frames)
+        comments = tuple((row - start, text) for row, text in self.comments if start <= row and (last or row < end))
+        return Block(self.frames[start:end], self.first_row + start, comments)
 
     @cached_property
     def t_ns(self) -> Integers:
@@ -100,53 +102,17 @@ class Block:
         yield from zip(*(column[order].tolist() for column in chosen), strict=True)
 
 
-class Pieces:
-    """Cuts frames into blocks that begin with a SYNC."""
+class Rolling:
+    """Number of true values among the last `size` ones of a stream."""
 
-    def __init__(self) -> None:
-        self._rest = np.zeros(0, FRAME)
-        self._comments: list[tuple[int, str]] = []
-        self._row = 0
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._last = np.zeros(0, bool)
 
-    def take(self, frames: Records, comments: list[tuple[int, str]]) -> Iterator[Block]:
-        """Yield the blocks that are complete; `comments` are (row of `frames`, text)."""
-        self._comments += [(row + len(self._rest), text) for row, text in comments]
-        whole = np.concatenate((self._rest, frames)) if len(self._rest) else frames
-        while len(whole) > BLOCK:
-            cut = _before_sync(whole[:BLOCK])
-            yield self._cut(whole[:cut])
-            whole = whole[cut:]
-        cut = _before_sync(whole)
-        if cut:
-            yield self._cut(whole[:cut])
-        self._rest = whole[cut:]
-
-    def all_of(self, frames: Records) -> Iterator[Block]:
-        """Yield frames in blocks, without waiting for the next SYNC."""
-        for start in range(0, len(frames), BLOCK):
-            yield self._cut(frames[start : start + BLOCK])
-
-    @property
-    def first_ns(self) -> int:
-        """The stamp of the first pending frame, -1 if none."""
-        return int(self._rest["t_ns"][0]) if len(self._rest) else -1
-
-    def end(self, *, last: bool = True) -> Block:
-        """Return the pending frames; `last`: no block follows."""
-        rest, self._rest = self._rest, self._rest[:0]
-        return self._cut(rest, last=last)
-
-    def _cut(self, frames: Records, *, last: bool = False) -> Block:
-        here = tuple((row, text) for row, text in self._comments if last or row < len(frames))
-        self._comments = [(row - len(frames), text) for row, text in self._comments if not last and row >= len(frames)]
-        block = Block(frames, self._row, here, last)
-        self._row += len(frames)
-        return block
-
-
-def _before_sync(frames: Records) -> int:
-    """Return the number of frames before the last SYNC; all frames if it is far back."""
-    places = np.flatnonzero(frames["can_id"][-FAR:] == SYNC)
-    cut = max(len(frames) - FAR, 0) + int(places[-1]) if len(places) else len(frames)
-    far = cut == len(frames) or int(frames["t_ns"][-1]) - int(frames["t_ns"][cut]) > FAR_NS
-    return len(frames) if far else cut
+    def counts(self, values: npt.NDArray[np.bool_]) -> Integers:
+        """Return the number behind each of the next values."""
+        whole = np.concatenate((self._last, values))
+        self._last = whole[-self.size :]
+        total = np.concatenate(([0], np.cumsum(whole)))
+        behind = np.arange(len(whole) - len(values), len(whole)) + 1
+        return total[behind] - total[np.maximum(behind - self.size, 0)]

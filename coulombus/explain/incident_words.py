@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["KINDS", "WHO", "Kind"]
 
 
 class Kind(NamedTuple):
@@ -23,6 +23,43 @@ class Kind(NamedTuple):
     clause: str
     group: str = "node"
 
+
+WHO: Mapping[str, str] = MappingProxyType(
+    dict.fromkeys(("bus_silent", "bus_off", "no_ack", "error_passive", "error_frames", "repeated"), "wire")
+    | dict.fromkeys(
+        (
+            "sync_lost",
+            "sync_gap",
+            "sync_jitter",
+            "time_lost",
+            "host_lost",
+            "rpdo_missing",
+            "rpdo_late",
+            "host_trip",
+            "limit_active",
+        ),
+        "host",
+    )
+    | dict.fromkeys(
+        (
+            "second_master",
+            "ordered_away",
+            "sdo_abort",
+            "sdo_refused_read",
+            "sdo_not_taken",
+            "sdo_repeated",
+            "sdo_overlap",
+            "sdo_client_abort",
+        ),
+        "client",
+    )
+    | dict.fromkeys(
+        ("bus_load", "starved", "two_sync", "duplicate_node", "pdo_length", "mode_refused", "no_pdo", "unwatched"),
+        "configuration",
+    )
+    | dict.fromkeys(("overrun", "node_missing", "following_error"), "unknown")
+)
+"""Culprit by kind: wire, host, client of an SDO server, configuration, or unknown; for all other kinds the node."""
 
 CABLE = "Look at plugs and cable to the node, and whether its lamp is lit."
 TERMINATION = "Measure between CAN_H and CAN_L, bus switched off: 60 ohms with both terminators."
@@ -96,6 +133,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
              "Give the host's thread a real-time priority."),
             "A cycle without SYNC is a cycle without measurement.", "CiA 301, 7.2.5", "bus",
         ),
+        "sync_jitter": Kind(
+            29, "SYNC jitters", "Its producer does not keep its cycle: its program waits for other work.",
+            ("Look at what else runs on the SYNC producer.", "coulombus doctor: real-time rights, kernel, CPU.",
+             "Let an interface with its own clock send SYNC."),
+            "Nodes sample and act at uneven times: what is derived from differences is wrong.", "CiA 301, 7.2.5", "bus",
+        ),
         "two_sync": Kind(
             86, "Two nodes produce SYNC", "Two masters, or a node whose 1005h bit 30 is set.",
             ("Check whether a second program or tool runs.", "Read 1005h of every node: bit 30 makes it a producer.",
@@ -145,6 +188,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("See which identifier goes before it: coulombus hz.", "Give that PDO an inhibit time (1800h:03).",
              "Give the starved frame a lower identifier."),
             "Its consumers assume that its sender has failed.", "ISO 11898-1, 10.8 (arbitration)",
+        ),
+        "not_hearing": Kind(
+            73, "A node sends and does not hear", "Its receiver, its filters or its program do not take what is sent to it.",
+            ("Switch it off and on: does it obey then?", "Look whether its receive queue or its firmware is stuck (maker's log).",
+             "Compare its bit timing (sample point) with the other nodes."),
+            "It cannot be stopped over the bus: no command reaches it.", "CiA 301, 7.3.2.2",
         ),
         "guard_toggle": Kind(
             21, "The toggle bit of node guarding did not alternate", "An answer was lost, came twice, or the node restarted.",
@@ -295,6 +344,51 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             41, "A node did not answer an SDO request", "It is busy, off, or the request was lost.",
             (CABLE, "Ask again with a longer time-out.", "Look for error frames at that time."),
             "The transfer did not happen.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_late": Kind(
+            43, "An SDO answer came after its client had given up", "The time-out of the client is shorter than this answer takes.",
+            ("Lengthen the time-out of the client.", "Compare with the other response times: coulombus explain FILE 1.",
+             "Look what the node did then: starting, storing parameters, a full bus."),
+            "The client takes the transfer for failed, though the node did it.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_not_taken": Kind(
+            46, "An SDO client did not take an answer", "The answer is on the bus, and the client waited on: its program, filter or driver lost it.",
+            ("Look at the client's program: which thread reads its answers?", "Look at its receive filter (580h + node id) and its queue.",
+             "Read the same object with another tool: coulombus sdo."),
+            "The node is well; the client takes it for dead.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_repeated": Kind(
+            37, "An SDO client repeated a request before its answer", "The client is impatient: it asks again while the node still works.",
+            ("Lengthen the time-out of the client.", "Let it wait, or abort before it asks again.", "Compare with the node's response times."),
+            "The node gets the request twice: the second answer belongs to no request.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_overlap": Kind(
+            38, "SDO requests overlap on one channel", "Two clients use the same channel, or one client does not wait for its answer.",
+            ("Look for a second program or tool that reads this node.", "Give the second client a channel of its own (1201h).",
+             "Let one program ask for all."),
+            "A server has one transfer at a time: each client may take the other's answer for its own.", "CiA 301, 7.2.4.1", "sdo",
+        ),
+        "sdo_wrong_object": Kind(
+            45, "A node answered about another object", "Its firmware answers wrongly, or the answer belongs to an earlier request.",
+            ("Ask for one object at a time, and compare the answers.", "Look for a second client on this channel.",
+             "Update the firmware of the node."),
+            "A client that does not compare takes the wrong value.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_stray": Kind(
+            48, "A node sends SDO answers that nobody asked for", "Its firmware answers more often than it is asked, or two devices answer.",
+            ("Look whether two devices have this node id.", "Ask with segments and with block transfer, and compare.",
+             "Update the firmware of the node."),
+            "A client may take such an answer for the next one.", "CiA 301, 7.2.4.3", "sdo",
+        ),
+        "sdo_data": Kind(
+            51, "The data of an SDO transfer are wrong", "Size or CRC do not match the bytes, and both sides accepted them.",
+            ("Read the object back, and compare.", "Send it again, with CRC.", "Look whether the sender's program announces the right size."),
+            "A program or parameter in the device is not what was sent.", "CiA 301, 7.2.4.3.3 and 7.2.4.3.16", "sdo",
+        ),
+        "sdo_client_abort": Kind(
+            6, "A client ended an SDO transfer", "The client did not want the transfer to go on.",
+            ("Read what the abort code says.", "Look at what the client's program reports.", "Try it without block transfer."),
+            "The transfer did not happen.", "CiA 301, 7.2.4.3.17", "sdo",
         ),
         "sdo_incomplete": Kind(
             34, "An SDO transfer ended half way", "Client or node gave up without an abort.",

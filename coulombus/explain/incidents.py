@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from coulombus.explain.clues import Clue
-from coulombus.explain.incident_words import KINDS
+from coulombus.explain.incident_words import KINDS, WHO
 
 __all__ = ["Incident", "join"]
 
@@ -23,13 +23,17 @@ PROMPT = frozenset({"rpdo_missing", "pdo_length"})
 AT_ONCE_NS = 2_000_000
 """Time within which equal losses of two nodes have one cause."""
 FEW = 3
-OFTEN = frozenset({"repeated", "event_timer", "inhibit_time"})
+OFTEN = frozenset({"repeated", "sdo_stray", "event_timer", "inhibit_time"})
 """Kinds that are reported from a minimum count."""
 TOLERANCE_NS = 60_000_000
 """Maximum delay of an observed cause after its first consequence."""
 
 BUS_WIDE = frozenset(kind for kind, words in KINDS.items() if words.group == "bus")
 SDO = frozenset(kind for kind, words in KINDS.items() if words.group == "sdo")
+CLIENT = frozenset(
+    {"sdo_late", "sdo_not_taken", "sdo_repeated", "sdo_overlap", "sdo_wrong_object", "sdo_stray", "sdo_client_abort"}
+)
+"""Kinds about how client and server wait for each other."""
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
 FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
 """Kinds with consequences at every node."""
@@ -38,14 +42,26 @@ SILENCE_NS = 300_000_000
 """Maximum lead of a silence, which begins at the last received frame, before its cause."""
 MINOR = frozenset(
     {
-        *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late"),
+        *("sdo_repeated", "sdo_overlap", "sdo_stray", "sdo_client_abort"),
+        *(
+            "sync_jitter",
+            "repeated",
+            "sdo_refused_read",
+            "heartbeat_late",
+            "overrun",
+            "sync_gap",
+            "rpdo_late",
+            "tpdo_late",
+        ),
         *("error_history", "guard_toggle", "limit_active", "event_timer", "inhibit_time", "starved"),
     }
 )
 """Kinds that do not stop a machine by themselves."""
 REMARKS = frozenset({"limit_active", "error_history"})
 """Kinds that name an incident only if it has no other clue."""
-GONE = frozenset({"node_lost", "restarted", "node_missing", "duplicate_node", "left_operational", "ordered_away"})
+GONE = frozenset(
+    {"node_lost", "not_hearing", "restarted", "node_missing", "duplicate_node", "left_operational", "ordered_away"}
+)
 """Kinds after which a node does not answer as before."""
 OF_AXES = frozenset(
     {
@@ -76,9 +92,9 @@ class Incident:
         """The clue that names it."""
         telling = [clue for clue in self.clues if clue.kind not in REMARKS] or self.clues
         grave = [clue for clue in telling if clue.kind not in MINOR] or telling
-        begin = min(clue.begin_ns for clue in grave)
-        early = [clue for clue in grave if clue.begin_ns <= begin + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
-        early += [clue for clue in telling if begin - ROOT_NS <= clue.begin_ns < begin]  # jitter behind it is no cause
+        known = min(clue.due_ns for clue in grave)
+        early = [clue for clue in grave if clue.begin_ns <= known + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
         return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
 
     @property
@@ -119,6 +135,11 @@ class Incident:
         return next((c for c in self.clues if c.kind in ("emcy", "error_code") and c.node == self.node), self.root)
 
     @property
+    def who(self) -> str:
+        """Culprit: node, host, client, wire, configuration or unknown."""
+        return self.root.who or WHO.get(self.root.kind, "node")
+
+    @property
     def axes(self) -> tuple[int, ...]:
         """The drive's axes concerned, from 1; empty for a whole node."""
         kinds = {clue.axis + 1 for clue in self.clues if clue.kind in OF_AXES and clue.node == self.node}
@@ -134,7 +155,18 @@ class Incident:
 
 MOMENTARY = frozenset(
     {
-        *("repeated", "sdo_refused_read", "heartbeat_late", "overrun", "sync_gap", "rpdo_late", "tpdo_late", "babble"),
+        *("sdo_repeated", "sdo_overlap", "sdo_stray", "sdo_client_abort"),
+        *(
+            "sync_jitter",
+            "repeated",
+            "sdo_refused_read",
+            "heartbeat_late",
+            "overrun",
+            "sync_gap",
+            "rpdo_late",
+            "tpdo_late",
+            "babble",
+        ),
         *("error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed", "error_history", "guard_toggle"),
         *("limit_active", "event_timer", "inhibit_time", "starved"),
     }
@@ -219,5 +251,5 @@ def _sdo(incident: Incident, root: Clue, clue: Clue) -> bool:
     if root.node != clue.node:
         return root.kind in ("bus_silent", "bus_off", "no_ack", "error_frames", "babble") and clue.kind == "sdo_timeout"
     if root.kind in SDO:
-        return root.kind == clue.kind or clue.kind in ("sdo_timeout", "not_applied")
+        return root.kind == clue.kind or root.kind in CLIENT or clue.kind in (*CLIENT, "sdo_timeout", "not_applied")
     return root.kind in GONE or root.kind == "mode_refused"

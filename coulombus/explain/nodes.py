@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order
+from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import error_text
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.seen_node import SeenNode
@@ -23,6 +24,13 @@ LOST = 2.5
 """Periods after which a heartbeat is lost."""
 USUAL = 8
 """Heartbeat intervals needed to learn their spread; before, none counts as late."""
+BOOT_NS = 5 * S
+"""Time after a reset command within which a node boots."""
+FLYING_NS, HEEDED_NS = 20_000_000, S
+"""Time after a command within which a node's frames may still be from before it; the same for heartbeats."""
+NEVER = 1 << 63
+LIFE_ERROR = 0x8130
+"""EMCY of a node that misses the heartbeat or guarding of another one."""
 ANSWERED_NS = 10 * S
 """Time after a reset command within which a boot-up is its response."""
 STATES = {
@@ -40,6 +48,10 @@ class Nodes:
         self._asked: dict[int, list[int]] = {}  # unanswered guarding requests
         self._toggles: dict[int, tuple[int, int]] = {}  # toggle bit and time of the last guarding response; -1: none
         self._short: dict[int, list[bool]] = {}  # whether the last heartbeats were far too early
+        self._loss: dict[int, Clue] = {}  # the open loss of a node
+        self._returns: dict[int, int] = {}  # time of the first frame of a lost node
+        self._waived: set[int] = set()  # nodes from which nothing is due: its absence is noted, or in order
+        self._next_ns = NEVER  # nothing is overdue before
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a frame of NMT, heartbeat, guarding or EMCY."""
@@ -54,53 +66,111 @@ class Nodes:
         else:
             self._emcy(row, t_ns, key - EMCY, data_bytes(word, length))
 
-    def seen(self, block: Block) -> None:
-        """Store each node's last frame, and note overdue events."""
+    def begin(self, block: Block) -> None:
+        """Make the records of new nodes, and search the block for frames of lost ones."""
+        for key, group in block.groups.items():
+            number = self.bus.sender(key)
+            if number is not None:
+                node, first = self.bus.nodes.get(number), int(group.t_ns[0])
+                if node is None or first < node.first_ns:
+                    self.bus.node(number, first).first_ns = first
+        for number in list(self._loss):
+            self._seek(block, number)
+
+    def end(self, block: Block) -> None:
+        """Store each node's last frame."""
         for key, group in block.groups.items():
             number = self.bus.sender(key)
             if number is not None:
                 node = self.bus.node(number, int(group.t_ns[0]))
                 node.last_ns = max(node.last_ns, int(group.t_ns[-1]))
-        if len(block.t_ns):
-            self.look(int(block.t_ns[-1]))
 
-    def look(self, t_ns: int) -> None:
-        """Note heartbeats overdue at a time."""
-        for node in list(self.bus.nodes.values()):
-            due = node.heartbeat_ns + node.period_ns
-            if (
-                node.number in self._toggles
-                or node.heartbeat_ns < 0
-                or not node.period_ns
-                or t_ns < node.heartbeat_ns + LOST * node.period_ns
-            ):
-                continue
-            if self.bus.ordered(node.number, node.heartbeat_ns, t_ns, NmtState.INITIALISING):
-                continue
-            if self._said_goodbye(node):
-                continue
-            silent = node.last_ns <= due
-            lost = self._lost(node.number)
-            kind = lost if silent else "heartbeat_lost"
-            if self.clues.stands(lost, node.number):
-                if silent:
-                    continue
-                self.clues.end(lost, node.number, node.last_ns, "other frames of it come again")
-            if self.clues.stands(kind, node.number):
-                continue
-            what = "nothing comes from it any more" if silent else "its heartbeats stop, its other frames still come"
-            begin = max(node.last_ns, node.heartbeat_ns) if silent else due
-            text = f"{what}: the last heartbeat was due after {node.period_ns / 1e6:g} ms"
-            self.clues.begin(kind, node.number, begin, text, row=node.heartbeat_row)
+    def _seek(self, block: Block | None, number: int) -> None:
+        """Find the first frame of a lost node that is no heartbeat."""
+        clue = self._loss[number]
+        for key, group in block.groups.items() if block is not None and clue.end_ns is None else ():
+            place = int(group.t_ns.searchsorted(clue.due_ns, "right"))
+            if place < len(group) and key & 0x780 != HEARTBEAT and self.bus.sender(key) == number:
+                self._returns[number] = min(self._returns.get(number, NEVER), int(group.t_ns[place]))
+        self._next_ns = min(self._next_ns, self._returns.get(number, NEVER))
+
+    def _return(self, number: int, t_ns: int) -> None:
+        """End a loss: a frame came that is no heartbeat."""
+        del self._returns[number]
+        clue, node = self._loss.pop(number), self.bus.nodes[number]
+        if not self.clues.end(clue.kind, number, t_ns, "other frames of it come again"):
+            return
+        if node.heartbeat_ns >= 0 and node.period_ns:
+            text = f"its heartbeats do not come, its other frames do: {self._due_text(node)}"
+            self.clues.begin("heartbeat_lost", number, t_ns, text, row=node.heartbeat_row, due_ns=t_ns)
+
+    def look(self, block: Block | None, t_ns: int) -> None:
+        """Note what is overdue at a time [ns], in the order in which it became so."""
+        while self._next_ns <= t_ns:
+            at_ns = self._next_ns
+            due = [(self._due_ns(node), node.number) for node in self.bus.nodes.values()]
+            for when, number in sorted(due):
+                if when <= at_ns:
+                    self._overdue(block, when, self.bus.nodes[number])
+            self._next_ns = min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
+
+    def _due_ns(self, node: SeenNode) -> int:
+        """Return the time at which a node counts as lost if no frame of it comes before."""
+        if node.number in self._returns or node.number in self._waived:
+            return self._returns.get(node.number, NEVER)
+        if node.reset_ns >= 0:
+            return node.reset_ns + BOOT_NS
+        if node.number in self._toggles or node.heartbeat_ns < 0 or not node.period_ns:
+            return NEVER
+        return node.heartbeat_ns + round(LOST * node.period_ns)
+
+    def _expect(self, node: SeenNode) -> None:
+        """Wait for the next heartbeat or boot-up."""
+        self._waived.discard(node.number)
+        self._next_ns = min(self._next_ns, self._due_ns(node))
+
+    def _overdue(self, block: Block | None, at_ns: int, node: SeenNode) -> None:
+        """Note a heartbeat or boot-up that did not come, or a node that came back."""
+        if node.number in self._returns:
+            self._return(node.number, at_ns)
+            return
+        self._waived.add(node.number)
+        number, row = node.number, node.heartbeat_row
+        last = self.bus.last_heard(block, number, at_ns)
+        if node.reset_ns >= 0:
+            if last <= node.reset_ns + FLYING_NS:
+                text = (
+                    f"nothing comes from it since the command to reset at {self._at(node.reset_ns)}: it does not boot"
+                )
+                self._lost(block, node, last, text, row, node.reset_ns + BOOT_NS)
+            return
+        due = node.heartbeat_ns + node.period_ns
+        if self._said_goodbye(node) or self._stands(number):
+            return
+        if last <= due:
+            text = f"nothing comes from it any more: {self._due_text(node)}"
+            self._lost(block, node, max(last, node.heartbeat_ns), text, row, due)
+        else:
+            text = f"its heartbeats stop, its other frames still come: {self._due_text(node)}"
+            self.clues.begin("heartbeat_lost", number, due, text, row=row, due_ns=due)
+
+    def _lost(self, block: Block | None, node: SeenNode, t_ns: int, text: str, row: int, due_ns: int) -> None:
+        """Begin the loss of a node."""
+        kind = "host_lost" if self.bus.is_host(node.number, due_ns) else "node_lost"
+        self._loss[node.number] = self.clues.begin(kind, node.number, t_ns, text, row=row, due_ns=due_ns)
+        self._seek(block, node.number)
+
+    def _stands(self, number: int) -> bool:
+        return any(self.clues.stands(kind, number) for kind in LOST_KINDS)
+
+    def _due_text(self, node: SeenNode) -> str:
+        return f"the last heartbeat was due after {node.period_ns / 1e6:g} ms"
 
     def _said_goodbye(self, node: SeenNode) -> bool:
         """Return whether it is a host whose last NMT command before its silence was not a start: an orderly end."""
-        until_ns = node.heartbeat_ns + LOST * node.period_ns
+        until_ns = node.heartbeat_ns + round(LOST * node.period_ns)
         last = next((order for order in reversed(self.bus.orders) if order.t_ns <= until_ns), None)
-        return node.number == self.bus.host and last is not None and last.command != NmtCommand.START
-
-    def _lost(self, number: int) -> str:
-        return "host_lost" if number == self.bus.host else "node_lost"
+        return last is not None and last.command != NmtCommand.START and self.bus.is_host(node.number, until_ns)
 
     def _order(self, row: int, t_ns: int, word: int, length: int) -> None:
         if length != 2 or word & 0xFF not in list(NmtCommand):
@@ -109,48 +179,68 @@ class Nodes:
         order = Order(t_ns, word & 0xFF, word >> 8 & 0x7F, row)
         self.bus.orders.append(order)
         for node in self.bus.nodes.values():
-            if not order.concerns(node.number):
+            if not order.concerns(node.number) or node.first_ns > t_ns:
                 continue
             if order.command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-                node.heartbeat_ns, node.period_ns = -1, 0
-                node.gaps.clear()
+                self._reset(order, node)
             if order.command != NmtCommand.START:
                 node.was_operational = False
 
+    def _reset(self, order: Order, node: SeenNode) -> None:
+        """Wait for the boot-up of a node that is commanded to reset; a host does not command itself."""
+        if self._stands(node.number) or node.reset_ns >= 0 or self.bus.is_host(node.number, order.t_ns):
+            return
+        node.reset_ns, node.reset_alone = order.t_ns, order.node == node.number
+        self._expect(node)
+
     def _heartbeat(self, block: Block, row: int, t_ns: int, number: int, state: int) -> None:
-        new = number not in self.bus.nodes
         node = self.bus.node(number, t_ns)
         self.bus.canopen += 1
         self._asked.pop(number, None)
         if state == NmtState.INITIALISING:
-            self._boot(row, t_ns, node, new)
+            self._boot(row, t_ns, node)
             return
-        self._interval(block, row, t_ns, node)
+        self._after_reset(row, t_ns, node, state)
+        self._interval(row, t_ns, node)
         self._state(row, t_ns, node, state)
         node.heartbeat_ns, node.heartbeat_row, node.last_ns = t_ns, row, t_ns
+        self._expect(node)
 
-    def _boot(self, row: int, t_ns: int, node: SeenNode, new: bool) -> None:
+    def _boot(self, row: int, t_ns: int, node: SeenNode) -> None:
         reset = self.bus.ordered(node.number, max(node.booted_ns, t_ns - ANSWERED_NS), t_ns, NmtState.INITIALISING)
         lost = [kind for kind in LOST_KINDS if self.clues.stands(kind, node.number)]
         if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
             return  # a duplicated frame
-        if reset is None and not new:
+        if reset is None and node.first_ns < t_ns:
             text = "it sends boot-up without an NMT reset"
             if node.boots and self.clues.stands("restarted", node.number):
                 text = "it sends boot-up again and again"
             self.clues.begin("restarted", node.number, t_ns, text, row=row)
         for kind in lost:
             self.clues.end(kind, node.number, t_ns, "it boots")
-        self.clues.end("left_operational", node.number, t_ns, "it boots")
+        for kind in ("left_operational", "not_hearing"):
+            self.clues.end(kind, node.number, t_ns, "it boots")
         node.boots += 1
-        node.booted_ns, node.state = t_ns, NmtState.INITIALISING
-        node.heartbeat_ns, node.period_ns = -1, 0
+        node.booted_ns = t_ns
+        node.enter(t_ns, NmtState.INITIALISING)
+        node.heartbeat_ns, node.period_ns, node.reset_ns = -1, 0, -1
         node.gaps.clear()
         node.objects.clear()
         node.last_ns = t_ns
         self.bus.stale = True
 
-    def _interval(self, block: Block, row: int, t_ns: int, node: SeenNode) -> None:
+    def _after_reset(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
+        """Compare a heartbeat after a reset command with those before it."""
+        if node.reset_ns < 0 or (state == node.state and t_ns < node.reset_ns + HEEDED_NS):
+            return
+        other = node.reset_alone or self.bus.host >= 0  # the sender of a command to all nodes does not obey it
+        if other and state == node.state and t_ns - node.heartbeat_ns < LOST * (node.period_ns or HEEDED_NS):
+            text = f"commanded to reset at {self._at(node.reset_ns)}, it sends heartbeats and no boot-up"
+            since = node.life_ns if 0 <= node.reset_ns - node.life_ns < ANSWERED_NS else node.reset_ns
+            self.clues.begin("not_hearing", node.number, since, text, row=row)
+        node.reset_ns = -1
+
+    def _interval(self, row: int, t_ns: int, node: SeenNode) -> None:
         """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
         for kind in LOST_KINDS:
@@ -158,9 +248,10 @@ class Nodes:
         if node.heartbeat_ns < 0 or number in self._toggles:
             return  # a guarded node only responds to requests
         gap = t_ns - node.heartbeat_ns
+        node.intervals.add(gap)
         configured = node.objects.get((0x1017, 0), 0) * 1_000_000
         if configured and configured != node.period_ns:
-            node.period_ns = configured
+            node.period_ns, node.learned_ns = configured, t_ns
             node.gaps.clear()
             return  # the first interval of a new period
         if not node.period_ns:
@@ -169,25 +260,14 @@ class Nodes:
             node.gaps.append(gap)
             recent = sorted(node.gaps[-5:])
             if len(recent) >= 3 and recent[-1] < 1.3 * recent[0]:
-                node.period_ns = recent[len(recent) // 2]
+                node.period_ns, node.learned_ns = recent[len(recent) // 2], t_ns
             return
         period = node.period_ns
-        if gap > LOST * period and self._said_goodbye(node):
-            return
         late_ns = self._late_after(node) if gap > 1.3 * period else 0
-        if gap > LOST * period:
-            due = node.heartbeat_ns + period
-            last = self.bus.last_heard(block, number, round(node.heartbeat_ns + LOST * period))
-            silent = last <= due
-            kind = self._lost(number) if silent else "heartbeat_lost"
-            text = f"no heartbeat for {gap / 1e6:.0f} ms, its period is {period / 1e6:g} ms"
-            text += ", and none of its other frames" if silent else "; its other frames came"
-            self.clues.begin(kind, number, max(last, node.heartbeat_ns) if silent else due, text, row=row)
-            self.clues.end(kind, number, t_ns, "its heartbeats come again")
-        elif late_ns and gap > late_ns:
+        if LOST * period > gap > late_ns > 0:
             text = f"a heartbeat came after {gap / 1e6:.1f} ms, its period is {period / 1e6:g} ms"
             self.clues.note("heartbeat_late", number, t_ns, text, row=row)
-        else:
+        elif gap < LOST * period:
             node.gaps = [*node.gaps[1 - USUAL :], gap]
         soon = self._short.setdefault(number, [])
         before, node.last_gap_ns = node.last_gap_ns, gap
@@ -214,7 +294,9 @@ class Nodes:
         return max(max(node.gaps) + node.period_ns // 2, min(waiting, default=0) // 2)
 
     def _state(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
-        before, node.state = node.state, state
+        before = node.state
+        node.enter(t_ns, state)
+        node.always_operational &= state == NmtState.OPERATIONAL
         number = node.number
         if state == NmtState.OPERATIONAL:
             node.was_operational = True
@@ -247,13 +329,13 @@ class Nodes:
         self._toggles.setdefault(number, (-1, -1))
         waiting = self._asked.setdefault(number, [])
         waiting.append(t_ns)
-        if len(waiting) == UNANSWERED and number in self.bus.nodes:
-            silent = self.bus.last_heard(block, number, t_ns) <= waiting[0]
-            kind = self._lost(number) if silent else "heartbeat_lost"
-            text = "three node guarding requests are unanswered" + (
-                ", and nothing else comes from it" if silent else ""
-            )
-            self.clues.begin(kind, number, waiting[0], text, row=row)
+        if len(waiting) == UNANSWERED and self.bus.present(number, t_ns):
+            if self.bus.last_heard(block, number, t_ns) <= waiting[0]:
+                text = "three node guarding requests are unanswered, and nothing else comes from it"
+                self._lost(block, self.bus.nodes[number], waiting[0], text, row, waiting[0])
+            else:
+                text = "three node guarding requests are unanswered"
+                self.clues.begin("heartbeat_lost", number, waiting[0], text, row=row, due_ns=waiting[0])
 
     def _toggle(self, row: int, t_ns: int, number: int, word: int) -> None:
         """Compare the toggle bit of a node guarding response with the previous one."""
@@ -274,9 +356,12 @@ class Nodes:
         self.bus.node(number, t_ns)
         self.bus.canopen += 1
         code = int.from_bytes(data[:2], "little")
+        self.bus.nodes[number].emergencies += code != 0
         if code == 0:
             self.clues.end_all("emcy", number, t_ns, "EMCY 0000h: no error any more")
             return
+        if code == LIFE_ERROR:
+            self.bus.nodes[number].life_ns = t_ns
         text = f"EMCY {error_text(code)}"
         if len(data) >= 3:
             text += f" (error register {data[2]:02X}h)"

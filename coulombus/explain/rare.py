@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.nodes import Nodes
@@ -13,31 +15,47 @@ __all__ = ["RareFrames"]
 
 
 class RareFrames:
-    """Passes these frames to `Nodes` and `SdoTransfers` in bus order."""
+    """Passes these frames to `Nodes` and `SdoTransfers`, and what becomes overdue between them, in the order of time."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self.nodes, self.sdo = Nodes(bus), SdoTransfers(bus)
 
-    def take(self, block: Block) -> None:
-        """Process a block."""
-        for row, t_ns, key, word, length in block.of(*self._keys(block)):
+    def parts(self, block: Block) -> Iterator[Block]:
+        """Process the block's rare frames, and yield it in parts.
+
+        The knowledge of nodes and PDO maps is the same for all other frames of a part.
+        """
+        keys = tuple(self._keys(block))
+        others = [group.rows for key, group in block.groups.items() if key not in keys]
+        frequent = np.sort(np.concatenate(others)) if others else np.zeros(0, np.int64)
+        self.nodes.begin(block)
+        start, before = 0, -1
+        for row, t_ns, key, word, length in block.of(*keys):
+            if self.bus.stale and before >= 0 and frequent.searchsorted(before) < frequent.searchsorted(row):
+                yield block.part(start, before + 1 - block.first_row)
+                self.bus.renew()
+                start = before + 1 - block.first_row
+            self.look(block, t_ns - 1)
             if SDO_TX < key <= SDO_RX + 0x7F:
                 self.sdo.frame(row, t_ns, key, word, length)
             else:
                 self.nodes.frame(block, row, t_ns, key, word, length)
-        self.nodes.seen(block)
+            before = row
+        if self.bus.stale and before >= 0:
+            yield block.part(start, before + 1 - block.first_row)
+            self.bus.renew()
+            start = before + 1 - block.first_row
         if len(block.t_ns):
-            self.sdo.look(int(block.t_ns[-1]))
+            self.look(block, int(block.t_ns[-1]))
+        self.nodes.end(block)
+        self.bus.renew()
+        yield block.part(start, len(block.t_ns))
 
-    def look(self, t_ns: int) -> None:
-        """Note overdue events at a time."""
-        self.nodes.look(t_ns)
+    def look(self, block: Block | None, t_ns: int) -> None:
+        """Note what is overdue at a time [ns]; `block`: the frames of that time, if they are not yet processed."""
+        self.nodes.look(block, t_ns)
         self.sdo.look(t_ns)
-
-    def end(self, t_ns: int) -> None:
-        """Note clues of the whole log."""
-        self.sdo.end(t_ns)
 
     def _keys(self, block: Block) -> Iterator[int]:
         for key in block.groups:

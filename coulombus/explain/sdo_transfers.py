@@ -1,4 +1,4 @@
-"""SDO transfers: requests, aborts, missing responses, values not applied (CiA 301, 7.2.4)."""
+"""SDO transfers: who did not answer, who did not wait, what was refused, and what is wrong (CiA 301, 7.2.4)."""
 
 from __future__ import annotations
 
@@ -8,28 +8,43 @@ from typing import Any
 from coulombus.eds import sdo_forms as forms
 from coulombus.eds.cia301 import Abort, abort_text
 from coulombus.eds.sdo_answers import named
-from coulombus.eds.sdo_channel import SdoChannel
+from coulombus.eds.sdo_channel import NO_BEGINNING, SdoChannel
 from coulombus.eds.sdo_frames import where
+from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
+from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import ABORT_CHECKS, error_text
+from coulombus.explain.object_names import object_text
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["SdoTransfers"]
 
 ANSWER_NS = 1_000_000_000
 """Time after which a response is missing."""
+SOON_NS = 200_000_000
+"""The same for a node that never sent a frame."""
+LATE_NS = 10_000_000_000
+"""Time after a request within which a response may still be its."""
+PATIENT_NS = 500_000_000
+"""A client that gives up sooner is impatient."""
 REPEATED_NS = 2_000_000
 IDLE_NS = 2_000_000_000
 SCAN = 8
 """Number of unanswered node ids that make a scan."""
+FEW = 3
+STRAY = "it sends answers that no client waits for"
+IN_A_ROW = 3
+"""Unanswered requests in a row to a node whose heartbeats go on: it does not hear."""
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
+MAPPING = (*SETTINGS, range(0x1000, 0x1001), range(0x1018, 0x1019))
+"""Objects on which PDO maps, names and periods depend."""
 OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
 READS = (forms.UPLOAD_INITIATE.phase, forms.BLOCK_UPLOAD_INITIATE.phase)
 WRITES = (forms.DOWNLOAD_INITIATE.phase, forms.BLOCK_DOWNLOAD_INITIATE.phase)
-INITIATED = (
-    *(forms.UPLOAD_INITIATED.phase, forms.BLOCK_UPLOAD_INITIATED.phase),
-    *(forms.DOWNLOAD_INITIATED.phase, forms.BLOCK_DOWNLOAD_INITIATED.phase),
-)
+INITIATED_READS = (forms.UPLOAD_INITIATED.phase, forms.BLOCK_UPLOAD_INITIATED.phase)
+INITIATED = (*INITIATED_READS, forms.DOWNLOAD_INITIATED.phase, forms.BLOCK_DOWNLOAD_INITIATED.phase)
+UPSETS = ("sdo_abort", "sdo_refused_read", "sdo_incomplete", "sdo_data")
+"""Kinds about an object that a later transfer of it ends."""
 
 
 @dataclass
@@ -41,6 +56,17 @@ class _Request:
     index: int
     subindex: int
     value: int | None  # of an expedited download
+    repeated_ns: int = -1  # time at which the client sent it again
+    wrong: bool = False  # its size or CRC is
+    overlaps: bool = False  # another request of the channel was not answered yet
+
+    @property
+    def at(self) -> tuple[int, int]:
+        return self.index, self.subindex
+
+    def fits(self, data: bytes, phase: str) -> bool:
+        """Return whether a response is about its object and service."""
+        return named(data) == self.at and self.writes == (phase not in INITIATED_READS)
 
 
 @dataclass
@@ -48,14 +74,22 @@ class _Server:
     """One node's SDO server: its channel, and its pending responses."""
 
     channel: SdoChannel = field(default_factory=lambda: SdoChannel(None))
-    request: _Request | None = None
+    waiting: list[_Request] = field(default_factory=list)
+    abandoned: list[tuple[_Request, int]] = field(default_factory=list)
+    """Requests without an answer, and the times at which the client gave up."""
     running: _Request | None = None  # a segmented or block transfer under way
     kind: str = ""  # of it
     last_ns: int = 0
+    last_by_server: bool = False
+    answered: _Request | None = None  # the last one, and its answer
     answer: bytes = b""
     answer_ns: int = -1
+    extra: int = 0  # answers that repeated requests still may have
+    strays: int = 0  # answers that no client waits for, since the last request
+    stray_ns: int = -1
     written: dict[tuple[int, int], int] = field(default_factory=dict)
-    unanswered: list[_Request] = field(default_factory=list)
+    silent: list[_Request] = field(default_factory=list)
+    """Unanswered requests since the last answer."""
 
 
 class SdoTransfers:
@@ -64,6 +98,7 @@ class SdoTransfers:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._servers: dict[int, _Server] = {}
+        self._next_ns = 1 << 63  # nothing is overdue before
 
     def frame(self, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a request or a response."""
@@ -73,61 +108,94 @@ class SdoTransfers:
         server = self._servers.setdefault(number, _Server())
         data = data_bytes(word, 8)
         says = server.channel.row(data, from_server)
-        phase = says["phase"]
+        phase, remark = says["phase"], says.get("remark", "")
         if from_server:
             self.bus.node(number, t_ns)
             self.bus.canopen += 1
         if "code" in says:
-            self._abort(row, t_ns, number, server, data, "the node" if from_server else "the client")
+            self._abort(row, t_ns, number, server, data, from_server)
         elif not from_server and (phase in READS or phase in WRITES):
             self._request(number, server, _Request(t_ns, row, data, phase in WRITES, *named(data), _expedited(says)))
         elif phase in INITIATED:
-            self._answer(row, t_ns, number, server, data)
+            self._answer(row, t_ns, number, server, data, phase)
+        elif from_server and server.answered is not None and (server.running is None or remark == NO_BEGINNING):
+            self._stray(row, t_ns, number, server, f"{phase[:1].lower()}{phase[1:]}")
+        if are_wrong(remark):
+            self._wrong(row, t_ns, number, server, remark)
         if server.running is not None and server.channel.transfer is None:
-            self._done(t_ns, number, server.running)
+            if not server.running.wrong:
+                self._done(t_ns, number, server.running)
             server.running = None
-        server.last_ns = t_ns
+        server.last_ns, server.last_by_server = t_ns, from_server
+        if server.running is not None:
+            self._next_ns = min(self._next_ns, t_ns + IDLE_NS)
 
     def look(self, t_ns: int) -> None:
         """Note responses overdue at a time."""
+        if t_ns <= self._next_ns:
+            return
+        self._next_ns = 1 << 63
         for number, server in self._servers.items():
-            request = server.request
-            if request is not None and t_ns - request.t_ns > ANSWER_NS:
-                self._silent(number, server, request)
-                server.request = None
-            if server.running is not None and t_ns - server.last_ns > IDLE_NS:
-                self._unfinished(number, server, server.last_ns)
+            for request in list(server.waiting):
+                due_ns = max(request.t_ns, request.repeated_ns) + ANSWER_NS
+                if t_ns > due_ns:
+                    server.waiting.remove(request)
+                    self._gave_up(number, server, request, due_ns, "no answer comes")
+                else:
+                    self._next_ns = min(self._next_ns, due_ns)
+            if server.running is not None:
+                if t_ns > server.last_ns + IDLE_NS:
+                    self._unfinished(number, server, server.last_ns)
+                else:
+                    self._next_ns = min(self._next_ns, server.last_ns + IDLE_NS)
 
-    def end(self, t_ns: int) -> None:
-        """Note nodes that never existed."""
-        absent = [number for number, server in self._servers.items() if number not in self.bus.nodes]
+    def missing(self) -> list[Clue]:
+        """Return the nodes that were asked and never sent a frame, but for those of a scan."""
+        asked = {n: self._unanswered(server) for n, server in self._servers.items() if n not in self.bus.nodes}
+        absent = [n for n, requests in asked.items() if requests]
+        clues = []
         for number in absent if len(absent) < SCAN else ():
-            requests = self._servers[number].unanswered or [r for r in [self._servers[number].request] if r]
-            if requests:
-                number_of = "an SDO request" if len(requests) == 1 else f"{len(requests)} SDO requests"
-                text = f"{number_of} to it, and no frame of it in the log"
-                self.clues.begin("node_missing", number, requests[0].t_ns, text, row=requests[0].row)
+            requests = asked[number]
+            number_of = "an SDO request" if len(requests) == 1 else f"{len(requests)} SDO requests"
+            text, first = f"{number_of} to it, and no frame of it in the log", requests[0]
+            clues.append(Clue("node_missing", number, first.t_ns, text, due_ns=first.t_ns, rows=[first.row]))
+        return clues
+
+    def _unanswered(self, server: _Server) -> list[_Request]:
+        return [*server.silent, *(r for r in server.waiting if self.bus.last_ns - r.t_ns > SOON_NS)]
 
     def _request(self, number: int, server: _Server, request: _Request) -> None:
-        before = server.request
-        if before is not None:
-            if before.data == request.data and request.t_ns - before.t_ns < REPEATED_NS:
+        for before in server.waiting:
+            if before.data == request.data:
+                if request.t_ns - max(before.t_ns, before.repeated_ns) > REPEATED_NS:
+                    before.repeated_ns = request.t_ns
+                    server.extra += 1
                 return
-            self._silent(number, server, before)
+        request.overlaps = bool(server.waiting)
+        if server.answered is not None and server.running is None:
+            self.clues.end("sdo_not_taken", number, server.answer_ns, "the client took a later answer")
         if server.running is not None:
             self._unfinished(number, server, request.t_ns)
-        server.request = request
+        server.waiting.append(request)
+        server.strays = 0
+        self._next_ns = min(self._next_ns, request.t_ns + ANSWER_NS)
 
-    def _answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
-        request, transfer = server.request, server.channel.transfer
+    def _answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, phase: str) -> None:
+        request = next((asked for asked in server.waiting if asked.fits(data, phase)), None)
         if request is None:
-            self._second_answer(row, t_ns, number, server, data)
+            self._unasked(row, t_ns, number, server, data, phase)
             return
-        if named(data) != (request.index, request.subindex):
-            return
-        server.request, server.answer, server.answer_ns = None, data, t_ns
-        self.clues.end_all("sdo_timeout", number, t_ns, "it answers again")
-        if transfer is not None:
+        transfer = server.channel.transfer
+        server.waiting.remove(request)
+        self._answered(t_ns, number, server, request, data)
+        if request.repeated_ns >= 0:
+            again, took = (request.repeated_ns - request.t_ns) / 1e6, (t_ns - request.t_ns) / 1e6
+            text = f"{self._object(number, data)} was asked again after {again:.0f} ms, its answer came after {took:.0f} ms"
+            self.clues.note("sdo_repeated", number, request.repeated_ns, text, row=request.row)
+        if request.overlaps:
+            text = f"{self._object(number, data)} was asked while another request had no answer yet"
+            self.clues.note("sdo_overlap", number, request.t_ns, text, row=request.row)
+        if transfer is not None and transfer.place == request.at:
             server.running, server.kind = request, transfer.kind
             return
         if not request.writes:
@@ -136,10 +204,18 @@ class SdoTransfers:
         self._value(row, t_ns, number, server, request, request.value)
         self._done(t_ns, number, request)
 
+    def _answered(self, t_ns: int, number: int, server: _Server, request: _Request, data: bytes) -> None:
+        """Note that a request has its answer."""
+        server.answered, server.answer, server.answer_ns = request, data, t_ns
+        server.silent.clear()
+        self.bus.node(number, t_ns).sdo_response.add(t_ns - request.t_ns)
+        for kind in ("sdo_timeout", "sdo_wrong_object", "not_hearing"):
+            self.clues.end_all(kind, number, t_ns, "it answers again")
+
     def _done(self, t_ns: int, number: int, request: _Request) -> None:
-        subject = (request.index, request.subindex)
-        for kind in ("sdo_abort", "sdo_refused_read", "sdo_incomplete"):
-            self.clues.end(kind, number, t_ns, "a later transfer of it succeeded", subject=subject)
+        self.bus.node(number, t_ns).transfers += 1
+        for kind in UPSETS:
+            self.clues.end(kind, number, t_ns, "a later transfer of it succeeded", subject=request.at)
 
     def _value(self, row: int, t_ns: int, number: int, server: _Server, request: _Request, value: int | None) -> None:
         if value is None:
@@ -167,7 +243,7 @@ class SdoTransfers:
             self._mode(row, t_ns, number, server, at, value, request.writes)
         if node.objects.get(at) != value:
             node.objects[at] = value
-            self.bus.stale = True
+            self.bus.stale |= any(at[0] in some for some in MAPPING)
 
     def _mode(
         self, row: int, t_ns: int, number: int, server: _Server, at: tuple[int, int], value: int, writes: bool
@@ -184,79 +260,149 @@ class SdoTransfers:
             text = f"mode of operation {wish} was written, {where(*at)} shows {value}"
             self.clues.begin("mode_refused", number, t_ns, text, row=row, subject=at[0])
 
-    def _second_answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes) -> None:
-        if server.answer_ns < 0 or t_ns - server.answer_ns > 50_000_000:
-            return
-        if data == server.answer:
-            if t_ns - server.answer_ns < REPEATED_NS:
-                self.clues.note("repeated", number, t_ns, "an SDO answer came twice", row=row)
-        elif data[1:4] == server.answer[1:4]:
+    def _unasked(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, phase: str) -> None:
+        """Process an answer for which no request waits: late, second, about another object, or stray."""
+        since_ns = t_ns - server.answer_ns if server.answer_ns >= 0 else LATE_NS
+        late = next((pair for pair in server.abandoned if pair[0].fits(data, phase)), None)
+        if late is not None and t_ns - late[0].t_ns < LATE_NS:
+            server.abandoned.remove(late)
+            self._late(t_ns, number, server, *late, data)
+        elif data == server.answer and since_ns < REPEATED_NS:
+            self.clues.note("repeated", number, t_ns, "an SDO answer came twice", row=row)
+        elif server.extra and data[1:4] == server.answer[1:4] and since_ns < ANSWER_NS:
+            server.extra -= 1
+        elif data[1:4] == server.answer[1:4] and since_ns < 50_000_000:
             text = f"two answers that differ to one request of {self._object(number, server.answer)}"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="sdo")
+        elif server.waiting:
+            asked = server.waiting[-1]
+            text = f"asked about {where(*asked.at)}, it answered about {self._object(number, data)}"
+            self.clues.begin("sdo_wrong_object", number, asked.t_ns, text, row=row)
+        elif server.answered is not None:
+            self._stray(row, t_ns, number, server, f"about {self._object(number, data)}")
 
-    def _abort(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, by: str) -> None:
-        code = int.from_bytes(data[4:8], "little")
-        request = server.request or server.running
-        server.request = server.running = None
-        at = named(data)
+    def _stray(self, row: int, t_ns: int, number: int, server: _Server, what: str) -> None:
+        server.strays += 1
+        server.stray_ns = t_ns if server.strays == 1 else server.stray_ns
+        self.clues.note("sdo_stray", number, t_ns, f"{STRAY}, the first one {what}", row=row)
+
+    def _late(self, t_ns: int, number: int, server: _Server, request: _Request, gave_up_ns: int, data: bytes) -> None:
+        """Note an answer after the client gave up."""
+        took, waited = t_ns - request.t_ns, gave_up_ns - request.t_ns
+        self._answered(t_ns, number, server, request, data)
+        text = f"{self._object(number, data)}: the answer came after {took / 1e6:.4g} ms, the client gave up after {waited / 1e6:.4g} ms"
+        clue = self.clues.begin("sdo_late", number, request.t_ns, text, row=request.row, subject=request.at)
+        clue.who = "client" if waited < PATIENT_NS else "node"
+        self.clues.end("sdo_late", number, t_ns, "it answered", subject=request.at)
+
+    def _abort(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, by_server: bool) -> None:
+        code, at = int.from_bytes(data[4:8], "little"), named(data)
+        request = next((r for r in server.waiting if r.at == at), None)
+        request = request or (server.waiting[-1] if server.waiting else None)
+        running, server.running = server.running, None
+        if request is not None:
+            server.waiting.remove(request)
         if code == Abort.TIMEOUT:
-            if request is not None:
-                server.unanswered.append(request)
-            text = f"{self._object(number, request.data if request else data)}: {by} gave up waiting"
-            self.clues.begin("sdo_timeout", number, request.t_ns if request else t_ns, text, row=row)
+            self._timed_out(row, t_ns, number, server, request, running, data, by_server)
             return
+        request = request or running
+        if by_server and request is None and server.extra and data[1:4] == server.answer[1:4]:
+            server.extra -= 1  # the answer to a request that was repeated
+            return
+        if by_server and request is None and t_ns - server.last_ns < ANSWER_NS and not server.last_by_server:
+            return  # the client gave the transfer up just before
+        if by_server and request is not None:
+            self._answered(t_ns, number, server, request, data)
         writes = request is not None and request.writes
-        if by == "the node":
-            self.clues.end_all("sdo_timeout", number, t_ns, "it answers again")
+        if not by_server:
+            text = f"{self._object(number, data)}: {abort_text(code)}"
+            self.clues.note("sdo_client_abort", number, t_ns, text, row=row)
+            return
         kind = "sdo_refused_read" if not writes and code in OPTIONAL else "sdo_abort"
-        verb = "write" if writes else "read"
+        verb = "write" if writes else "read" if request is not None else "transfer"
         value = f" of {_number(request.value)}" if request is not None and request.value is not None else ""
-        text = f"{by} refused the {verb}{value} of {self._object(number, data)}: {abort_text(code)}"
+        text = f"the node refused the {verb}{value} of {self._object(number, data)}: {abort_text(code)}"
         if kind == "sdo_abort" and writes:
             clue = self.clues.begin(kind, number, t_ns, text, row=row, subject=at)
         else:
             clue = self.clues.note(kind, number, t_ns, text, row=row, subject=at if writes else None)
         clue.check = ABORT_CHECKS.get(code, "")
 
-    def _silent(self, number: int, server: _Server, request: _Request) -> None:
-        server.unanswered.append(request)
-        if number in self.bus.nodes:
-            text = f"no answer to the {'write' if request.writes else 'read'} of {self._object(number, request.data)}"
-            self.clues.begin("sdo_timeout", number, request.t_ns, text, row=request.row)
+    def _timed_out(
+        self,
+        row: int,
+        t_ns: int,
+        number: int,
+        server: _Server,
+        request: _Request | None,
+        running: _Request | None,
+        data: bytes,
+        by_server: bool,
+    ) -> None:
+        """Process an abort because of a time-out: who waited for whom?"""
+        if by_server:
+            text = f"{self._object(number, data)}: the node waited for the client, which did not go on"
+            self.clues.begin("sdo_not_taken", number, t_ns, text, row=row)
+        elif request is not None:
+            self._gave_up(
+                number, server, request, t_ns, f"the client gave up after {(t_ns - request.t_ns) / 1e6:.4g} ms"
+            )
+        elif server.strays >= FEW:
+            clue = self.clues.begin("sdo_stray", number, server.stray_ns, STRAY, row=row)
+            clue.text = f"{STRAY} ({server.strays}), and its client gives up"
+        elif running is not None and (server.kind == "block" or not server.last_by_server):
+            self._gave_up(number, server, running, t_ns, "the client gave up within the transfer")
+        elif server.answered is not None and t_ns - server.answer_ns < LATE_NS:
+            asked = server.answered
+            took, waited = (server.answer_ns - asked.t_ns) / 1e6, (t_ns - asked.t_ns) / 1e6
+            text = f"{self._object(number, asked.data)}: answered after {took:.4g} ms, and the client gave up after {waited:.4g} ms"
+            self.clues.begin("sdo_not_taken", number, asked.t_ns, text, row=row)
+            server.answered = None
+
+    def _gave_up(self, number: int, server: _Server, request: _Request, t_ns: int, how: str) -> None:
+        """Note a request without an answer."""
+        server.abandoned = [*server.abandoned[-3:], (request, t_ns)]
+        server.silent.append(request)
+        if not self.bus.present(number, t_ns):
+            return
+        node = self.bus.nodes[number]
+        beats = node.heartbeat_ns > request.t_ns or (node.period_ns and t_ns - node.heartbeat_ns < 2 * node.period_ns)
+        alive = "; its heartbeats go on" if beats else ""
+        verb = "write" if request.writes else "read"
+        text = f"{verb} of {self._object(number, request.data)}: {how}{alive}"
+        clue = self.clues.begin("sdo_timeout", number, request.t_ns, text, row=request.row)
+        clue.check = (
+            "Ask again with a longer time-out: the node lives, so plug and cable are not the first suspects."
+            if alive
+            else ""
+        )
+        first = server.silent[0]
+        if len(server.silent) >= IN_A_ROW and node.heartbeat_ns > first.t_ns:
+            text = f"{len(server.silent)} SDO requests in a row have no answer, and its heartbeats go on"
+            if not self.clues.stands("not_hearing", number):
+                self.clues.begin("not_hearing", number, first.t_ns, text, row=first.row)
 
     def _unfinished(self, number: int, server: _Server, t_ns: int) -> None:
         running = server.running
         assert running is not None
         text = f"the {server.kind} transfer of {self._object(number, running.data)} ends half way"
-        subject = (running.index, running.subindex)
-        self.clues.begin("sdo_incomplete", number, t_ns, text, row=running.row, subject=subject)
+        clue = self.clues.begin("sdo_incomplete", number, t_ns, text, row=running.row, subject=running.at)
+        clue.who = "client" if server.last_by_server and server.kind != "block" else "node"
         server.running = None
 
+    def _wrong(self, row: int, t_ns: int, number: int, server: _Server, remark: str) -> None:
+        """Note a transfer whose size or CRC is wrong."""
+        request = server.running or server.answered
+        if request is None:
+            return
+        request.wrong = True
+        verb = "write" if request.writes else "read"
+        text = f"{verb} of {self._object(number, request.data)}: {remark}"
+        clue = self.clues.begin("sdo_data", number, t_ns, text, row=row, subject=request.at)
+        clue.who = "client" if request.writes else "node"
+
     def _object(self, number: int, data: bytes) -> str:
-        index, subindex = named(data)
-        description = self.bus.describe(number)
-        name = ""
-        if description is not None and description.has(index, subindex):
-            name = f" ({description.variable(index, subindex).name})"
-        elif index in NAMES:
-            name = f" ({NAMES[index]})"
-        return where(index, subindex) + name
-
-
-NAMES = {
-    0x1000: "device type", 0x1001: "error register", 0x1003: "error history", 0x1005: "COB-ID SYNC",
-    0x1006: "communication cycle period", 0x1010: "store parameters", 0x1011: "restore parameters",
-    0x1014: "COB-ID EMCY", 0x1016: "consumer heartbeat time", 0x1017: "producer heartbeat time",
-    0x1018: "identity", 0x1029: "error behaviour", 0x603F: "error code", 0x6040: "controlword",
-    0x6041: "statusword", 0x6060: "modes of operation", 0x6061: "modes of operation display",
-    0x6064: "position actual value", 0x6071: "target torque", 0x6072: "max torque", 0x607A: "target position",
-    0x60FF: "target velocity", 0x6502: "supported drive modes",
-    **{index: f"RPDO{index - 0x13FF} parameters" for index in range(0x1400, 0x1408)},
-    **{index: f"RPDO{index - 0x15FF} map" for index in range(0x1600, 0x1608)},
-    **{index: f"TPDO{index - 0x17FF} parameters" for index in range(0x1800, 0x1808)},
-    **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
-}  # fmt: skip
-"""Objects of CiA 301 and 402 by name, for nodes without an EDS file."""
+        return object_text(self.bus, number, *named(data))
 
 
 def _expedited(says: dict[str, Any]) -> int | None:

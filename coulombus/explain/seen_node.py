@@ -2,11 +2,39 @@
 
 from __future__ import annotations
 
+import bisect
+from array import array
 from dataclasses import dataclass, field
+from statistics import median
 
 from coulombus.recording.maps.seen_maps import MappedNode
 
-__all__ = ["SeenNode"]
+__all__ = ["SeenNode", "Spread"]
+
+
+class Spread:
+    """Minimum, median and maximum of values; beyond `MOST` of them, the median is of each second, fourth ... one."""
+
+    MOST = 8192
+
+    def __init__(self) -> None:
+        self.count, self._step, self._values = 0, 1, array("q")
+        self._least, self._most = 0, 0
+
+    def add(self, value: int) -> None:
+        """Add a value."""
+        self._least = min(self._least, value) if self.count else value
+        self._most = max(self._most, value) if self.count else value
+        if self.count % self._step == 0:
+            self._values.append(value)
+            if len(self._values) > self.MOST:
+                self._values, self._step = self._values[::2], 2 * self._step
+        self.count += 1
+
+    @property
+    def figures(self) -> tuple[int, float, int] | None:
+        """Minimum, median, maximum; None without a value."""
+        return (self._least, float(median(self._values)), self._most) if self.count else None
 
 
 @dataclass
@@ -17,10 +45,34 @@ class SeenNode(MappedNode):
     last_ns: int
     state: int = -1  # of the last heartbeat; -1: unknown
     was_operational: bool = False
+    always_operational: bool = True  # every heartbeat says so
     heartbeat_ns: int = -1  # the last one; -1: none since it booted
     heartbeat_row: int = -1
+    reset_ns: int = -1  # the first reset command without a boot-up since
+    reset_alone: bool = False  # it went to this node only
+    life_ns: int = -1  # the last EMCY about a heartbeat or guarding that it misses
     period_ns: int = 0  # of heartbeats; 0: unknown
     last_gap_ns: int = 0
     gaps: list[int] = field(default_factory=list)
+    learned_ns: int = -1  # time at which the period was learned
+    states: list[tuple[int, int]] = field(default_factory=list)
+    """NMT state, from each time [ns] of a change."""
     boots: int = 0
+    emergencies: int = 0
+    transfers: int = 0
+    intervals: Spread = field(default_factory=Spread)
+    """Intervals of its heartbeats [ns]."""
+    sdo_response: Spread = field(default_factory=Spread)
+    """Times [ns] from an SDO request to its response."""
     booted_ns: int = -1
+
+    def state_at(self, t_ns: int) -> int:
+        """Return the NMT state at a time [ns], -1 if unknown."""
+        place = bisect.bisect_right(self.states, t_ns, key=lambda change: change[0])
+        return self.states[place - 1][1] if place else -1
+
+    def enter(self, t_ns: int, state: int) -> None:
+        """Note the NMT state at a time [ns]."""
+        if state != self.state:
+            self.states.append((t_ns, state))
+        self.state = state
