@@ -54,7 +54,7 @@ class Outcome:
             return ok, ok, ok
         if not self.told.incidents:
             return False, False, False
-        host = self.told.bus.host
+        bus = self.told.bus
         pairs: list[tuple[Truth, Incident]] = []
         for truth in (self.truth, *self.truth.also):  # each is an incident of its own
             free = [incident for incident in self.told.incidents if all(incident is not other for _, other in pairs)]
@@ -67,7 +67,11 @@ class Outcome:
             return False, False, False
         return (
             True,
-            all((None if incident.node == host else incident.node) == truth.node for truth, incident in pairs),
+            all(
+                (None if incident.node and bus.is_host(incident.node, incident.begin_ns) else incident.node)
+                == truth.node
+                for truth, incident in pairs
+            ),
             all(incident.status in truth.states for truth, incident in pairs),
         )
 

@@ -88,6 +88,8 @@ class Bus:
         self.stale = True
         self.sync_period_ns = 0
         """Period of SYNC [ns]; 0 until it is learned."""
+        self.sync_since_ns = 1 << 62
+        """The SYNC [ns] with which its period was learned."""
         self.two_sync: list[tuple[int, int]] = []
         """Times [ns] within which two nodes produce SYNC, as known."""
         self.bitrate = 0

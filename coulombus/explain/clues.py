@@ -101,6 +101,10 @@ class Clues:
         clue.last_ns = max(clue.last_ns, t_ns)
         return True
 
+    def more(self, kind: str, node: int | None, count: int, *, subject: object = None) -> None:
+        """Count more of an open clue."""
+        self._last[kind, node, subject].count += count
+
     def end_all(self, kind: str, node: int | None, t_ns: int, text: str = "") -> None:
         """Close all clues of this kind and node, for any subject."""
         for which, whose, subject in list(self._last):

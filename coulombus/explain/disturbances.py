@@ -26,6 +26,7 @@ from coulombus.wire.error_frames import (
     TX_WARNING,
     VIOLATION,
 )
+from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["Disturbances"]
 
@@ -55,31 +56,49 @@ class Disturbances:
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
-        self.destroyed = 0
-        self.unacknowledged = 0
+        self._rest = np.zeros(0, FRAME)  # error frames that no other frame follows yet
+        self._rest_row = 0
         self._recent: list[_Destroyed] = []
         self._told: dict[int, tuple[Counter[str], Counter[int]]] = {}  # kinds and identifiers of a clue
 
     def take(self, block: Block) -> None:
         """Process a block."""
         group = block.groups.get(ERROR)
-        if group is None:
+        if group is not None:
+            classes = np.ascontiguousarray(block.frames["can_id"])[group.rows - block.first_row]
+            for i in np.flatnonzero(classes & (CONTROLLER | BUS_OFF | RESTARTED) != 0).tolist():
+                self._state(int(group.t_ns[i]), int(group.rows[i]), int(classes[i]), group.data(i))
+        if group is not None or len(self._rest):
+            self._count(np.concatenate((self._rest, block.frames)), block.first_row - len(self._rest))
+
+    def look(self, t_ns: int) -> None:
+        """Process the error frames that no frame followed until a time [ns]."""
+        if len(self._rest) and t_ns > int(self._rest["t_ns"][-1]) + STATE_NS:
+            self.end()
+
+    def end(self) -> None:
+        """Process the error frames that no frame follows."""
+        rest, self._rest = self._rest, self._rest[:0]
+        self._destroyed(rest, self._rest_row)
+
+    def _count(self, frames: Records, first_row: int) -> None:
+        """Process error frames up to the last one that a frame follows: it tells which frame was destroyed."""
+        good = np.flatnonzero(frames["can_id"] & CAN_ERR_FLAG == 0)
+        complete = int(good[-1]) + 1 if len(good) else 0
+        self._rest, self._rest_row = frames[complete:], first_row + complete
+        self._destroyed(frames[:complete], first_row)
+
+    def _destroyed(self, frames: Records, first_row: int) -> None:
+        can_id = np.ascontiguousarray(frames["can_id"])
+        classes = can_id & (VIOLATION | BUS_ERROR | NO_ACK)
+        local = np.flatnonzero((can_id & CAN_ERR_FLAG != 0) & (classes != 0))
+        if not len(local):
             return
-        can_id = np.ascontiguousarray(block.frames["can_id"])
-        local = group.rows - block.first_row
-        classes = can_id[local]
-        kinds = classes & (VIOLATION | BUS_ERROR | NO_ACK) != 0
-        following = _following(can_id, local)
-        unacknowledged = kinds & (classes & NO_ACK != 0)
-        self.unacknowledged += int(unacknowledged.sum())
-        self.destroyed += int(kinds.sum())
-        violations = np.where(classes & VIOLATION, group.word >> 16 & KIND_BITS, 0)
-        columns = (group.t_ns, group.rows, following, unacknowledged, violations)
-        for values in zip(*(column[kinds].tolist() for column in columns), strict=True):
+        unacknowledged = can_id[local] & NO_ACK != 0
+        violations = np.where(can_id[local] & VIOLATION, frames["word"][local] >> 16 & KIND_BITS, 0)
+        columns = (frames["t_ns"][local], first_row + local, _following(can_id, local), unacknowledged, violations)
+        for values in zip(*(column.tolist() for column in columns), strict=True):
             self._dense(_Destroyed(*values))
-        states = np.flatnonzero(classes & (CONTROLLER | BUS_OFF | RESTARTED) != 0)
-        for i in states.tolist():
-            self._state(int(group.t_ns[i]), int(group.rows[i]), int(classes[i]), group.data(i))
 
     def _dense(self, frame: _Destroyed) -> None:
         """Note an error frame if there are many within a second."""

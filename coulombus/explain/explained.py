@@ -26,6 +26,7 @@ from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
 from coulombus.explain.sync_timing import SyncTiming
+from coulombus.explain.time_axis import TimeAxis
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
@@ -112,9 +113,10 @@ class Explainer:
         self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
         if rig is not None:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
+        self._disturbances = Disturbances(self.bus)
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(Orders(self.bus), Disturbances(self.bus), self._host, BusLoad(self.bus)),
+            *(Orders(self.bus), self._disturbances, self._host, BusLoad(self.bus)),
             *(
                 self._drives,
                 self._sync,
@@ -126,6 +128,7 @@ class Explainer:
             ),
         )
         self._span = span
+        self._axis = TimeAxis()
         self._epoch_ns: int | None = None
         self._shown: dict[int, tuple[int, int, bytes]] = {}
         self._rows: set[int] = set()
@@ -146,6 +149,7 @@ class Explainer:
             self._host.take_inside(inside)
         remarks = list(comments)
         inner, remarks = self._inside(frames, remarks)
+        inner = self._axis.straight(inner)
         whole = Block(inner, self.bus.frames, tuple(remarks))
         for start in range(0, max(len(inner), 1), BLOCK):
             self._block(whole.part(start, min(start + BLOCK, len(inner))))
@@ -154,11 +158,12 @@ class Explainer:
         """Note overdue events at the last frame, or at a later time [ns] up to which all frames were taken."""
         t_ns = max(self.bus.last_ns, now_ns)
         self._rare.look(None, t_ns)
-        for observer in (self._drives, self._sync, self._pdos):
+        for observer in (self._disturbances, self._drives, self._sync, self._pdos):
             observer.look(t_ns)
 
     def end(self) -> None:
-        """Process the remaining markers."""
+        """Process the remaining markers and error frames."""
+        self._disturbances.end()
         for t_ns, text in self._late:
             if self._is_in_span(np.array([t_ns])).all():
                 self._host.mark(t_ns, text, self.bus.frames - 1)
@@ -259,6 +264,9 @@ class Explainer:
             remarks.append(f"this does not look like CANopen: {what}; only the wire is looked at")
         elif extended:
             remarks.append(f"{extended} frames have 29-bit identifiers, which CANopen does not use: left out")
+        if self._axis.back:
+            times = "once" if self._axis.back == 1 else f"{self._axis.back} times"
+            remarks.append(f"the clock of the log was set back {times}: behind it, times go on from there")
         errors = bus.counts.get(ERROR, 0)
         if errors:
             remarks.append(f"{errors} error frames")

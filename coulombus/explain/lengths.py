@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from coulombus.explain.bus import Bus
@@ -16,6 +18,7 @@ class Lengths:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._last: dict[int, int] = {}
+        self._fits: dict[int, bool] = {}
 
     def take(self, block: Block) -> None:
         """Process a block."""
@@ -25,17 +28,16 @@ class Lengths:
                 continue
             expected = known.length or self._last.get(key, int(group.length[0]))
             self._last[key] = expected
-            enough = group.length >= expected if known.direction == "rpdo" else group.length == expected
-            if enough.all():
-                self.clues.end("pdo_length", known.node, int(group.t_ns[0]), "the length fits again", subject=key)
-                continue
-            wrong = np.flatnonzero(~enough)
-            i = int(wrong[0])
-            text = f"{known.name} ({key:03X}h) has {group.length[i]} bytes, its map ({known.source}) {expected}"
-            clue = self.clues.begin(
-                "pdo_length", known.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=key
-            )
-            clue.count += len(wrong) - 1
-            if wrong[-1] < len(group) - 1:
-                after = int(group.t_ns[wrong[-1] + 1])
-                self.clues.end("pdo_length", known.node, after, "the length fits again", subject=key)
+            fits = group.length >= expected if known.direction == "rpdo" else group.length == expected
+            changes = np.flatnonzero(np.diff(fits, prepend=self._fits.get(key, True)))
+            self._fits[key] = bool(fits[-1])
+            for i, behind in pairwise([*changes.tolist(), len(group)]):
+                t_ns, row = int(group.t_ns[i]), int(group.rows[i])
+                if fits[i]:
+                    self.clues.end("pdo_length", known.node, t_ns, "the length fits again", subject=key)
+                    continue
+                text = f"{known.name} ({key:03X}h) has {group.length[i]} bytes, its map ({known.source}) {expected}"
+                clue = self.clues.begin("pdo_length", known.node, t_ns, text, row=row, subject=key)
+                clue.count += behind - i - 1
+            if not fits[0] and (not len(changes) or changes[0] > 0):
+                self.clues.more("pdo_length", known.node, int(changes[0]) if len(changes) else len(group), subject=key)

@@ -15,7 +15,7 @@ from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTiming"]
 
-MS = 1_000_000
+MS, NEVER = 1_000_000, 1 << 62
 LEARN = 20
 """Frames of which the usual time after SYNC is learned; twice as many for a PDO's own period."""
 ACTIVE, CHANCE, LONG = 3, 50, 200
@@ -34,8 +34,8 @@ OFTEN = 5
 """Late frames among so many that are told."""
 BABBLE_NS, BABBLE, BABBLE_WINDOW = 300_000, 200, 280
 """Interval, and number among so many successive frames of an identifier, that are babble."""
-TWICE_NS = MS
-"""Maximum interval of a frame that came twice."""
+TWICE_NS, UNKNOWN_NS = MS, 200_000
+"""Maximum interval of a frame that came twice; the same while the period of SYNC is unknown."""
 PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 NONE = np.zeros(0, np.int64)
 EMPTY = Frames(NONE, NONE, NONE, NONE)
@@ -68,10 +68,12 @@ class _Pdo:
     frames: int = 0
     # after SYNC
     open: int = 0  # frames in the SYNC interval that is not complete
+    open_ns: int = -1  # the first of them
     open_differs: bool = False
     streak: int = 0  # successive intervals with one frame
     regular: bool = False
-    regular_ns: int = -1  # since then
+    spans: list[list[int]] = field(default_factory=list)  # times of this block within which it is regular
+    followed_ns: int = NEVER  # since then it was regular at any time
     empty: _Empty | None = None
     missing_ns: int = -1  # time since which it is missing
     missing: int = 0
@@ -104,6 +106,7 @@ class _Placed:
     are as before.
     """
 
+    carried: bool  # the first interval has an earlier frame
     place: Integers
     first: Flags
     latency: Integers
@@ -126,6 +129,7 @@ class PdoTiming:
         edges = NONE if sync is None else sync.t_ns
         if self._sync_ns >= 0:
             edges = np.concatenate(([self._sync_ns], edges))
+        edges = edges[edges >= self.bus.sync_since_ns]
         for begin, end in self.bus.two_sync:  # its intervals say nothing about PDOs
             edges = edges[(edges <= begin) | (edges >= end)]
         for key in block.groups:
@@ -145,7 +149,7 @@ class PdoTiming:
         for pdo in self._pdos.values():
             if pdo.held is not None:
                 self._settle(pdo, t_ns)
-            if pdo.period_ns and not pdo.regular and not pdo.excused:
+            if pdo.period_ns and not pdo.excused:
                 self._stopped(pdo, pdo.last_ns, pdo.last_row, t_ns)
 
     def _is_watched(self, key: int) -> bool:
@@ -186,28 +190,39 @@ class PdoTiming:
 
     def _in_intervals(self, pdo: _Pdo, group: Frames, stamps: Integers, edges: Integers, equal: Flags) -> None:
         """Count a PDO's frames in each SYNC interval that is complete."""
+        pdo.spans = [[-1, NEVER]] if pdo.regular else []
         place = np.searchsorted(edges, group.t_ns, "right") - 1
         intervals = len(edges) - 1
         counts = np.bincount(place[place >= 0], minlength=intervals + 1)
         counts[0] += pdo.open
+        carried = pdo.open_ns if pdo.open else 0
         differs = self._differing(pdo, place, equal, intervals)
         first = np.diff(place, prepend=0 if pdo.open else -1) > 0  # of its interval
         pdo.open = int(counts[-1])
+        if pdo.open and (intervals or not carried):
+            pdo.open_ns = int(group.t_ns[place.searchsorted(intervals)])
         counts = counts[:-1]
-        frames = _Placed(place, first, np.where(place >= 0, group.t_ns - edges[place], 0), equal)
+        frames = _Placed(bool(carried), place, first, np.where(place >= 0, group.t_ns - edges[place], 0), equal)
         if intervals and pdo.regular and pdo.empty is None and counts.min() == 1 == counts.max():
             pdo.streak += intervals
             if pdo.missing_ns >= 0:
                 self._again(pdo, int(edges[0]))
         elif intervals:
-            self._walk(pdo, group, frames, stamps, counts, edges)
+            self._walk(pdo, group, frames, stamps, counts, edges, carried)
         if intervals:
             self._doubled(pdo, group, place, counts, differs, edges)
         self._latency(pdo, group, frames)
         pdo.latencies = np.concatenate((pdo.latencies, frames.latency))[-CHANCE:]
 
     def _walk(
-        self, pdo: _Pdo, group: Frames, frames: _Placed, stamps: Integers, counts: Integers, edges: Integers
+        self,
+        pdo: _Pdo,
+        group: Frames,
+        frames: _Placed,
+        stamps: Integers,
+        counts: Integers,
+        edges: Integers,
+        carried: int,
     ) -> None:
         """Process runs of intervals with no frame, one frame, and more."""
         starts = np.flatnonzero(np.diff(np.minimum(counts, 2), prepend=-1))
@@ -224,7 +239,8 @@ class PdoTiming:
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
             if counts[start]:
                 if pdo.empty is not None:
-                    self._decide(pdo, int(stamps[stamps.searchsorted(edges[start])]))
+                    came = int(stamps[stamps.searchsorted(edges[start])]) if start or not carried else carried
+                    self._decide(pdo, came)
                 pdo.empty = None
                 if pdo.missing_ns >= 0:
                     self._again(pdo, int(edges[start]))
@@ -232,7 +248,9 @@ class PdoTiming:
                 if counts[start] == 1 and not pdo.regular:
                     shown = self._regular_from(pdo, frames, start, end)
                     pdo.regular = shown < end
-                    pdo.regular_ns = int(edges[shown + 1]) if pdo.regular else -1
+                    if pdo.regular:
+                        pdo.spans.append([int(edges[shown + 1]), NEVER])
+                        pdo.followed_ns = min(pdo.followed_ns, int(edges[shown + 1]))
                 continue
             pdo.streak = 0
             for i in range(start, end):
@@ -259,7 +277,8 @@ class PdoTiming:
             return
         pdo.empty = None
         if self._excused(pdo.node, empty.begin_ns, t_ns):
-            pdo.regular, pdo.usual_ns, pdo.learned, pdo.missing = False, -1.0, [], 0
+            pdo.regular, pdo.missing = False, 0
+            pdo.spans[-1][1] = empty.begin_ns
             return
         pdo.missing_ns = empty.begin_ns
         pdo.held = empty.begin_ns, empty.row
@@ -271,18 +290,18 @@ class PdoTiming:
         before = pdo.streak - (end - start)  # of the streak, before `start`
         if pdo.synchronous:
             return min(start + max(ACTIVE - 1 - before, 0), end)
-        first = int(frames.place.searchsorted(start))
         found = end
         if pdo.streak >= CHANCE:
             equal = np.flatnonzero(np.cumsum(frames.equal) + pdo.equal >= EQUAL)
-            if len(equal):
-                repeated = int(frames.place[len(frames.place) - len(frames.equal) + equal[0]])
-                found = min(max(start + CHANCE - 1 - before, start, repeated), end)
+            first = len(frames.place) - len(frames.equal)
+            repeated = 0 if pdo.equal >= EQUAL else int(frames.place[first + equal[0]]) if len(equal) else end
+            found = min(max(start + CHANCE - 1 - before, start, repeated), end)
+        latencies = np.concatenate((pdo.latencies, frames.latency))
+        behind = len(pdo.latencies) + int(frames.place.searchsorted(start)) - (frames.carried and start == 0)
         for streak in range(LONG, pdo.streak + 1, CHANCE):
             if before < streak <= before + found - start:
-                until = first + streak - before + len(pdo.latencies)
-                latencies = np.concatenate((pdo.latencies, frames.latency))[max(until - CHANCE, 0) : until]
-                if float(np.std(latencies)) < STEADY * self.bus.sync_period_ns:
+                until = behind + streak - before
+                if float(np.std(latencies[max(until - CHANCE, 0) : until])) < STEADY * self.bus.sync_period_ns:
                     return start + streak - before - 1
         return found
 
@@ -298,6 +317,7 @@ class PdoTiming:
         due_ns = self.bus.order_due_ns(begin, max(3 * self.bus.sync_period_ns, 20 * MS))
         if self._excused(pdo.node, begin, t_ns):
             pdo.held, pdo.regular, pdo.missing_ns = None, False, -1
+            pdo.usual_ns, pdo.learned = -1.0, []
         elif t_ns > due_ns:
             self._begin_missing(pdo, begin, row)
 
@@ -330,8 +350,7 @@ class PdoTiming:
     ) -> None:
         """Note a second sender: frames with different contents within one SYNC interval."""
         twice = differs[: len(counts)] & (np.diff(edges) < 1.3 * self.bus.sync_period_ns)
-        if not pdo.regular or pdo.babbles or self.clues.stands("two_sync", None):
-            twice[:] = False
+        twice &= _within(edges[:-1], pdo.spans) & (not pdo.babbles)
         empties = pdo.empties.counts(counts == 0)
         often = pdo.differing.counts(twice)
         if twice.any() and pdo.twice_ns < 0:
@@ -351,11 +370,14 @@ class PdoTiming:
 
     def _latency(self, pdo: _Pdo, group: Frames, frames: _Placed) -> None:
         """Note PDOs that come much later after SYNC than usual."""
-        inside = (frames.place >= 0) & frames.first
-        inside &= (group.t_ns >= pdo.regular_ns) & (frames.latency < GAP * self.bus.sync_period_ns)
-        if not pdo.regular or not inside.any():
-            return
-        latency = frames.latency[inside].astype(float)
+        known = (frames.place >= 0) & frames.first & (frames.latency < GAP * self.bus.sync_period_ns)
+        for begin, end in pdo.spans:
+            inside = np.flatnonzero(known & (group.t_ns >= begin) & (group.t_ns < end))
+            self._late(pdo, group, inside, frames.latency[inside].astype(float))
+            if end < NEVER:
+                pdo.usual_ns, pdo.learned = -1.0, []
+
+    def _late(self, pdo: _Pdo, group: Frames, places: Integers, latency: npt.NDArray[np.float64]) -> None:
         skipped = 0
         if pdo.usual_ns < 0:
             skipped = min(len(latency), LEARN - len(pdo.learned))
@@ -367,7 +389,7 @@ class PdoTiming:
         strange = np.abs(deviation) > 0.3 * self.bus.sync_period_ns
         often = np.flatnonzero((pdo.late.counts(strange) >= OFTEN) & strange)
         if len(often):
-            which = np.flatnonzero(inside)[skipped:][often]
+            which = places[skipped:][often]
             how = "late" if deviation[often[0]] > 0 else "after the next SYNC"
             worst = latency[skipped:][often[0]]
             text = f"{pdo.name} comes {how}: {worst / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
@@ -381,8 +403,14 @@ class PdoTiming:
 
     def _own_period(self, pdo: _Pdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
         """Learn the period of a PDO that does not follow SYNC, and note its stops."""
-        if pdo.regular or pdo.synchronous:
-            return
+        own = stamps[1:] < pdo.followed_ns
+        if not pdo.synchronous and own.any():
+            number = int(own.sum())
+            self._own_gaps(pdo, group, stamps[: number + 1], gaps[:number])
+        if pdo.synchronous or not own.all():
+            pdo.period_ns = 0
+
+    def _own_gaps(self, pdo: _Pdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
         skipped = 0
         if not pdo.period_ns:
             skipped = min(len(gaps), 2 * LEARN - len(pdo.gaps))
@@ -442,7 +470,8 @@ class PdoTiming:
     def _repeated(self, pdo: _Pdo, stamps: Integers, rows: Integers, gaps: Integers, equal: Flags) -> None:
         """Note immediately duplicated frames, which CAN may deliver."""
         period = self.bus.sync_period_ns
-        twice = np.flatnonzero(equal & (gaps < (min(0.25 * period, TWICE_NS) if period else 200_000)))
+        limit = np.where(stamps[1:] > self.bus.sync_since_ns, min(0.25 * period, TWICE_NS), UNKNOWN_NS)
+        twice = np.flatnonzero(equal & (gaps < limit))
         if len(twice):
             i = int(twice[0])
             text = f"{pdo.name} came twice, the second one {gaps[i] / 1000:.0f} us behind the first"
@@ -450,3 +479,11 @@ class PdoTiming:
                 "repeated", pdo.node, int(stamps[i + 1]), text, row=int(rows[i]), subject=pdo.key, count=len(twice)
             )
             clue.last_ns = clue.end_ns = int(stamps[twice[-1] + 1])
+
+
+def _within(t_ns: Integers, spans: list[list[int]]) -> Flags:
+    """Return whether each of these times is in one of the spans."""
+    inside = np.zeros(len(t_ns), bool)
+    for begin, end in spans:
+        inside |= (t_ns >= begin) & (t_ns < end)
+    return inside

@@ -76,6 +76,7 @@ class SyncTiming:
             self._learned += gaps[:skipped].tolist()
             if len(self._learned) == ENOUGH:
                 self.bus.sync_period_ns = int(np.median(self._learned))
+                self.bus.sync_since_ns = int(stamps[skipped])
         if self.bus.sync_period_ns and len(gaps) > skipped:
             self._intervals(block, stamps[skipped:], rows[skipped:], gaps[skipped:])
         self._stop = _Stop(int(sync.t_ns[-1]), int(sync.rows[-1]))
