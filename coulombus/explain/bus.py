@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
-from coulombus.explain.frames import REMOTE, Block
+from coulombus.explain.frames import REMOTE, Block, Frames
+from coulombus.explain.incidents import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import Map, identified, maps_of
 
@@ -73,6 +75,8 @@ class Bus:
         self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, SeenNode] = {}
+        self.contradicted: set[int] = set()
+        """Nodes whose PDOs contradict the assumed maps."""
         self.first_of: dict[int, int] = {}
         """Time [ns] of the first frame of each key."""
         self.orders: list[Order] = []
@@ -92,6 +96,8 @@ class Bus:
         """The SYNC [ns] with which its period was learned."""
         self.two_sync: list[tuple[int, int]] = []
         """Times [ns] within which two nodes produce SYNC, as known."""
+        self.abandoned_ns: list[int] = []
+        """Times [ns] at which a drive runs on without its host, if it is in Operation Enabled then."""
         self.bitrate = 0
         """Bit rate [bit/s] of the rig; 0: unknown."""
         self.host = -1
@@ -229,7 +235,25 @@ class Bus:
             for number, description in identified(self.nodes, self.descriptions, self.candidates).items():
                 self.descriptions[number] = description
                 self.names.setdefault(number, product(description))
-            self.maps = maps_of(self.nodes, self.descriptions, self.fixed)
+            maps = maps_of(self.nodes, self.descriptions, self.fixed)
+            self.maps = {
+                key: known
+                for key, known in maps.items()
+                if known.source != "assumed" or known.node not in self.contradicted
+            }
+
+    def doubt(self, block: Block) -> None:
+        """Drop the assumed maps of a node whose PDOs have another length, or a word that is no statusword."""
+        doubted = {
+            known.node
+            for key, group in block.groups.items()
+            if (known := self.maps.get(key)) is not None and known.source == "assumed" and _contradicts(group, known)
+        }
+        if doubted:
+            self.contradicted |= doubted
+            self.stale = True
+            self.renew()
+            self.clues.retract([clue for clue in self.clues.all if clue.node in doubted and clue.kind in OF_AXES])
 
     def describe(self, number: int) -> Description | None:
         """Return the EDS file of a node, or None."""
@@ -244,6 +268,15 @@ class Bus:
         self.others.append(number)
         self.names.pop(number, None)
         self.fixed = {can_id: known for can_id, known in self.fixed.items() if known.node != number}
+
+
+def _contradicts(group: Frames, known: Map) -> bool:
+    """Return whether frames cannot have an assumed map."""
+    short, long = (group.length < known.length).any(), (group.length > known.length).any()
+    if known.length and (short or (long and known.direction == "tpdo")):
+        return True
+    words = [group.word >> field.start for _, field in known.find(0x41) if known.direction == "tpdo"]
+    return any(bool((STATE_OF_STATUSWORD[word & 0x7F] < 0).any()) for word in words)
 
 
 def product(description: Description) -> str:

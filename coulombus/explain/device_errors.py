@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from coulombus.eds.cia301 import Abort, emcy_text
 
-__all__ = ["ABORT_CHECKS", "error_text"]
+__all__ = ["ABORT_CHECKS", "error_check", "error_text"]
 
 DRIVE_TEXT: Mapping[int, str] = MappingProxyType(
     {
@@ -44,6 +44,35 @@ ABORT_CHECKS: Mapping[int, str] = MappingProxyType(
     }
 )
 """First check by a node's error code."""
+
+
+CODE_CHECKS: Mapping[int, str] = MappingProxyType(
+    {
+        0x8130: "Look why it missed the heartbeat or guarding: did the sender stop, or is its time (1016h) too short?",
+        0x8210: "Compare the length of the PDO with its map (1600h).",
+        0x8250: "Look whether its set-points still come: the event timer of the RPDO (1400h:05) has run out.",
+        0x87: "Look whether SYNC still comes, at the period of 1006h.",
+        0x81: "Look at cable, termination and bus load.",
+        0x82: "Compare lengths and maps of its PDOs with what is sent to it.",
+        0x71: "Check the motor and its cable; turn the axis by hand, supply off.",
+        0x73: "Check the sensor and its cable.",
+        0x2: "Turn the axis by hand, supply off: does it move freely? Then check cable and winding.",
+        0x3: "Measure the supply at the device while it works.",
+        0x4: "Let it cool, and check load, fan and ambient temperature.",
+        0x5: "Switch it off and on: an error that comes again is one of the device.",
+        0x6: "Compare its firmware and parameters with those that worked.",
+        0x8: "Compare load and set-points with the limits of the drive.",
+        0x9: "Look at the external input that reports it.",
+    }
+)
+"""First check by code, by its first two digits, and by its first digit."""
+
+
+def error_check(code: int) -> str:
+    """Return the first check for a code that a standard explains; "" for the maker's own codes."""
+    if code not in DRIVE_TEXT and emcy_text(code).endswith("unknown emergency code"):
+        return ""
+    return next((CODE_CHECKS[key] for key in (code, code >> 8, code >> 12) if key in CODE_CHECKS), "")
 
 
 def error_text(code: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATE_OF_STATUSWORD, Command, PowerState
 from coulombus.explain.bus import Bus
-from coulombus.explain.device_errors import error_text
+from coulombus.explain.device_errors import error_check, error_text
 from coulombus.explain.frames import Block
 
 __all__ = ["Drives"]
@@ -55,9 +55,13 @@ class Drives:
         self.bus, self.clues = bus, bus.clues
         self._axes: dict[tuple[int, int], _Axis] = {}
         self._last: dict[tuple[int, int, int], int] = {}
+        self._forgotten: set[int] = set()  # nodes whose assumed maps were wrong
 
     def take(self, block: Block) -> None:
         """Process a block."""
+        for node in self.bus.contradicted - self._forgotten:
+            self._axes = {key: axis for key, axis in self._axes.items() if key[0] != node}
+            self._forgotten.add(node)
         events = list(self._changes(block))
         for row, t_ns, node, index, value in self.bus.words:
             low, axis = (index - 0x6000) % 0x800, (index - 0x6000) // 0x800
@@ -65,6 +69,7 @@ class Drives:
                 events.append((row, t_ns, node, axis, low, value))
         self.bus.words.clear()
         for row, t_ns, node, axis, low, value in sorted(events):
+            self.look(t_ns - 1)
             self._event(row, t_ns, node, axis, low, value)
         if len(block.t_ns):
             self.look(int(block.t_ns[-1]))
@@ -72,9 +77,10 @@ class Drives:
     def look(self, t_ns: int) -> None:
         """Note drives that have not followed their command for too long."""
         for (node, axis), drive in self._axes.items():
-            if drive.since_ns < 0 or t_ns - drive.since_ns < STUCK_NS or drive.state < 0:
+            due_ns = drive.since_ns + STUCK_NS
+            if drive.since_ns < 0 or t_ns < due_ns or drive.state < 0:
                 continue
-            if self.clues.stands("not_following", node, axis) or self._away(node, t_ns):
+            if self.clues.stands("not_following", node, axis) or self._away(node, due_ns):
                 continue
             text = f"controlword {drive.control:04X}h ({_words(drive.command)}), and the drive stays {_words(PowerState(drive.state))}"
             if drive.enabling:
@@ -85,7 +91,7 @@ class Drives:
 
     def _away(self, number: int, t_ns: int) -> bool:
         node = self.bus.nodes.get(number)
-        return node is None or node.state in (4, 127, 0) or self.bus.left_on_order(number, t_ns)
+        return node is None or node.state_at(t_ns) in (4, 127, 0) or self.bus.left_on_order(number, t_ns)
 
     def _changes(self, block: Block) -> Iterator[tuple[int, int, int, int, int, int]]:
         """Yield (row, time, node, axis, object, value) for each change of a word."""
@@ -108,7 +114,7 @@ class Drives:
         if low == ERROR_CODE:
             if value:
                 clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {error_text(value)}", row=row, subject=axis)
-                clue.axis = axis
+                clue.axis, clue.check = axis, error_check(value)
             else:
                 self.clues.end("error_code", node, t_ns, "603Fh is 0", subject=axis)
             return

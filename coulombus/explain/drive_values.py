@@ -18,9 +18,15 @@ __all__ = ["DriveValues"]
 STATUS, MODE, MODE_SHOWN, TORQUE = 0x41, 0x60, 0x61, 0x77
 DEVIATION = 0x2000
 """Statusword bit 13: its meaning depends on the mode."""
+FOLLOWS, CYCLIC = 0x1000, (8, 9, 10)
+"""Statusword bit 12 in the cyclic modes: the drive follows its set-points."""
 DEVIATIONS = {1: "following error", 3: "slip too large", 6: "homing error", 7: "following error", 8: "following error"}
 HELD_NS, MODE_NS = 200_000_000, 1_000_000_000
 """Time after which a bit or value counts; the same for a mode."""
+MOTION = {0x6C: "velocity", 0x77: "torque", 0x64: "position"}
+WATCHES = ((0x1016, 1), (0x6007, 0), (0x1400, 5))
+"""Objects that end a motion without a host: heartbeat consumer, abort connection, event timer of the set-points."""
+RUNS = "0.5 s after its host fell silent"
 OFF_TORQUE = 100
 """Least torque [per mille of the rated torque] that a drive with a disabled power stage cannot have."""
 OFF = [PowerState.SWITCH_ON_DISABLED, PowerState.READY_TO_SWITCH_ON, PowerState.SWITCHED_ON, PowerState.FAULT]
@@ -33,6 +39,7 @@ class DriveValues:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._since: dict[tuple[str, int, int], tuple[int, int]] = {}  # time and row of its beginning
+        self._followed: dict[tuple[int, int], bool] = {}  # whether the drive ever told that it follows
         self._noted: dict[tuple[str, int, int], int] = {}  # the last of these times that was noted
         self._modes: dict[tuple[int, int], int] = {}  # last displayed
         self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and its time
@@ -53,6 +60,7 @@ class DriveValues:
                 if (TORQUE, axis) in fields:
                     self._torque(group, known.node, axis, state, _column(group, fields[TORQUE, axis]))
                 self._status(group, known.node, axis, status)
+                self._runs_on(group, known, axis, state)
 
     def _pdos(self, block: Block, direction: str) -> Iterator[tuple[Frames, Map]]:
         for key, group in block.groups.items():
@@ -76,8 +84,45 @@ class DriveValues:
         enabled = STATE_OF_STATUSWORD[status & 0x7F] == PowerState.OPERATION_ENABLED
         holds = enabled & (status & DEVIATION != 0) if what else np.zeros(len(status), bool)
         self._held("following_error", node, axis, group, holds, 0, f"{what} (statusword bit 13)")
+        if mode in CYCLIC:
+            followed = enabled & (status & FOLLOWS != 0)
+            seen = self._followed.get((node, axis), False)
+            ignored = enabled & (status & FOLLOWS == 0) & (np.logical_or.accumulate(followed) | seen)
+            self._followed[node, axis] = seen or bool(followed.any())
+            text = "it follows its set-points no more (statusword bit 12)"
+            self._held("setpoint_ignored", node, axis, group, ignored, HELD_NS, text)
         holds = enabled & (status & INTERNAL_LIMIT != 0)
         self._held("limit_active", node, axis, group, holds, HELD_NS, "internal limit active (statusword bit 11)")
+
+    def _runs_on(self, group: Frames, known: Map, axis: int, state: Integers) -> None:
+        """Note a drive that is in Operation Enabled some time after its host fell silent."""
+        key = ("runs_on", known.node, axis)
+        for at_ns in self.bus.abandoned_ns:
+            i = int(group.t_ns.searchsorted(at_ns))
+            if i == len(group) or self._noted.get(key, -1) >= at_ns:
+                continue
+            self._noted[key] = at_ns
+            if state[i] != PowerState.OPERATION_ENABLED:
+                continue
+            shown = [
+                f"{name} {_signed(group, field)[i]}"
+                for low, name in MOTION.items()
+                for where_, field in known.find(low)
+                if where_ == axis
+            ]
+            objects = self.bus.nodes[known.node].objects
+            unset = [where(*at) for at in WATCHES if not objects.get(at)]
+            text = f"in Operation Enabled {RUNS}" + "".join(f", {value}" for value in shown)
+            text += f"; this log has no write of {', '.join(unset)}" if unset else ""
+            clue = self.clues.begin(*key[:2], int(group.t_ns[i]), text, row=int(group.rows[i]), subject=(axis, "PDO"))
+            clue.axis = axis
+        ended = np.flatnonzero(state != PowerState.OPERATION_ENABLED)
+        if len(ended) and self.clues.stands("runs_on", known.node, (axis, "PDO")):
+            begin = self.bus.abandoned_ns[-1]
+            behind = ended[group.t_ns[ended] > begin]
+            if len(behind):
+                text = "it is not in Operation Enabled any more"
+                self.clues.end("runs_on", known.node, int(group.t_ns[behind[0]]), text, subject=(axis, "PDO"))
 
     def _torque(self, group: Frames, node: int, axis: int, state: Integers, torque: Integers) -> None:
         shown = (torque ^ 0x8000) - 0x8000
@@ -139,3 +184,8 @@ class DriveValues:
 
 def _column(group: Frames, field: Field) -> Integers:
     return group.word >> field.start & (1 << field.bits) - 1
+
+
+def _signed(group: Frames, field: Field) -> Integers:
+    half = 1 << field.bits - 1
+    return (_column(group, field) ^ half) - half

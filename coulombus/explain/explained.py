@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from coulombus.explain.drive_values import DriveValues
 from coulombus.explain.frames import BLOCK, ERROR, EXTENDED, Block, Integers
 from coulombus.explain.host_markers import HostMarkers
 from coulombus.explain.identifier_table import IdentifierRow, Identifiers
+from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nmt_orders import Orders
@@ -25,6 +27,7 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
+from coulombus.explain.services import Services
 from coulombus.explain.sync_timing import SyncTiming
 from coulombus.explain.time_axis import TimeAxis
 from coulombus.recording.block_source import captures_of_bus
@@ -38,6 +41,7 @@ from coulombus.wire.frame import Records, data_bytes
 
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
+PDO_KEYS = range(0x180, 0x580)
 VERDICTS = ("unresolved", "recovered", "warning")
 
 
@@ -49,6 +53,18 @@ class NodeSummary:
     name: str
     state: str
     frames: int
+    boots: int
+    heartbeat_ns: tuple[int, float, int] | None
+    """Minimum, median and maximum of the intervals of its heartbeats [ns]; None without one."""
+    sdo_response_ns: tuple[int, float, int] | None
+    """The same of the times from an SDO request to its response."""
+    sdo_transfers: int
+    emergencies: int
+    pdos_per_s: float
+    states: dict[str, float]
+    """Share of the log that it spent in each NMT state."""
+    identity: tuple[int, int] | None
+    """Vendor id and product code (1018h) if the log has them."""
     maps: str
     """Source of its PDO maps: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
     well: bool
@@ -113,10 +129,10 @@ class Explainer:
         self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
         if rig is not None:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
-        self._disturbances = Disturbances(self.bus)
+        self._disturbances, self._services = Disturbances(self.bus), Services(self.bus)
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(Orders(self.bus), self._disturbances, self._host, BusLoad(self.bus)),
+            *(self._host, Orders(self.bus), self._disturbances, self._services, BusLoad(self.bus)),
             *(
                 self._drives,
                 self._sync,
@@ -158,7 +174,7 @@ class Explainer:
         """Note overdue events at the last frame, or at a later time [ns] up to which all frames were taken."""
         t_ns = max(self.bus.last_ns, now_ns)
         self._rare.look(None, t_ns)
-        for observer in (self._disturbances, self._drives, self._sync, self._pdos):
+        for observer in (self._disturbances, self._services, self._drives, self._sync, self._pdos):
             observer.look(t_ns)
 
     def end(self) -> None:
@@ -171,12 +187,15 @@ class Explainer:
 
     def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
         """Return the explanation so far."""
-        incidents = tuple(join([*self.bus.clues.all, *self._rare.sdo.missing()]))
+        clues = [*self.bus.clues.all, *self._rare.sdo.missing()]
+        if not self._is_canopen:
+            clues = [clue for clue in clues if KINDS[clue.kind].group == "bus"]
+        incidents = tuple(join(clues))
         states = {incident.status for incident in incidents}
         verdict = next((word for word in VERDICTS if word in states), "ok")
         return Explanation(
             verdict="warnings" if verdict == "warning" else verdict,
-            nodes=tuple(self._summary(number, incidents) for number in sorted(self.bus.nodes)),
+            nodes=tuple(self._summary(number, incidents) for number in sorted(self.bus.nodes) if self._is_canopen),
             incidents=incidents,
             epoch_ns=self._epoch_ns or 0,
             end_ns=self.bus.last_ns,
@@ -217,6 +236,7 @@ class Explainer:
     def _block(self, block: Block) -> None:
         self.bus.take(block)
         for part in self._rare.parts(block):
+            self.bus.doubt(part)
             for observer in self._others:
                 observer.take(part)
         self._keep(block)
@@ -242,7 +262,30 @@ class Explainer:
         frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
         well = not any(clue.node == number for incident in incidents for clue in incident.clues)
         well &= number != self.bus.host or not (self.bus.tripped or self._is_cut)
-        return NodeSummary(number, self.bus.names.get(number, ""), str(state), frames, ", ".join(sorted(sources)), well)
+        begin_ns, end_ns = max(self.bus.first_ns, 0), self.bus.last_ns
+        pdos = sum(
+            count for key, count in self.bus.counts.items() if key in PDO_KEYS and self.bus.sender(key) == number
+        )
+        shares: dict[str, float] = {}
+        for (since_ns, entered), (until_ns, _) in pairwise([*node.states, (end_ns, -1)]):
+            name = STATES.get(entered, "booting")  # type: ignore[call-overload]
+            shares[name] = shares.get(name, 0.0) + (until_ns - since_ns) / max(end_ns - begin_ns, 1)
+        return NodeSummary(
+            number=number,
+            name=self.bus.names.get(number, ""),
+            state=str(state),
+            frames=frames,
+            boots=node.boots,
+            heartbeat_ns=node.intervals.figures,
+            sdo_response_ns=node.sdo_response.figures,
+            sdo_transfers=node.transfers,
+            emergencies=node.emergencies,
+            pdos_per_s=pdos / max((end_ns - begin_ns) / 1e9, 1e-9) if pdos else 0.0,
+            states=shares,
+            identity=node.identity if any(node.identity) else None,
+            maps=", ".join(sorted(sources)),
+            well=well,
+        )
 
     @property
     def _is_cut(self) -> bool:
@@ -259,7 +302,7 @@ class Explainer:
             what = (
                 "29-bit identifiers, as J1939 has them"
                 if extended > bus.frames / 2
-                else "no NMT, heartbeat, SDO, EMCY or SYNC"
+                else "no NMT, heartbeat, SDO or SYNC"
             )
             remarks.append(f"this does not look like CANopen: {what}; only the wire is looked at")
         elif extended:

@@ -44,7 +44,7 @@ def checks(incident: Incident) -> tuple[str, ...]:
     usual, diagnosis = KINDS[incident.root.kind].checks, incident.diagnosis
     first = incident.root.check
     if not first and diagnosis is not incident.root:  # the code is known already
-        first = KINDS[diagnosis.kind].checks[0]
+        first = diagnosis.check or KINDS[diagnosis.kind].checks[0]
     return (first, *usual[1:]) if first else usual
 
 
@@ -58,6 +58,11 @@ def as_dict(explanation: Explanation) -> dict[str, Any]:
             {
                 "node": node.number, "name": node.name or None, "state": node.state or None,
                 "frames": node.frames, "maps": node.maps or None, "well": node.well,
+                "boots": node.boots, "heartbeat_s": _seconds(node.heartbeat_ns),
+                "sdo_response_s": _seconds(node.sdo_response_ns), "sdo_transfers": node.sdo_transfers,
+                "emcy": node.emergencies, "pdos_per_s": round(node.pdos_per_s, 3),
+                "states": {state: round(share, 4) for state, share in node.states.items()},
+                "identity": None if node.identity is None else list(node.identity),
             }
             for node in explanation.nodes
         ],
@@ -73,6 +78,34 @@ def as_dict(explanation: Explanation) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _seconds(spread: tuple[int, float, int] | None) -> list[float] | None:
+    return None if spread is None else [round(value / 1e9, 9) for value in spread]
+
+
+def _node_table(explanation: Explanation) -> list[str]:
+    """Return what is known of each node, a line each."""
+    rows = [("node", "boots", "heartbeat [ms]", "SDO response [ms]", "SDO", "EMCY", "PDO/s", "OPERATIONAL")]
+    for node in explanation.nodes:
+        rows.append(
+            (
+                explanation.bus.name(node.number),
+                str(node.boots),
+                _spread_text(node.heartbeat_ns),
+                _spread_text(node.sdo_response_ns),
+                str(node.sdo_transfers),
+                str(node.emergencies),
+                f"{node.pdos_per_s:.4g}",
+                f"{100 * node.states['OPERATIONAL']:.0f} %" if "OPERATIONAL" in node.states else "-",
+            )
+        )
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _spread_text(spread: tuple[int, float, int] | None) -> str:
+    return "-" if spread is None else " / ".join(f"{value / 1e6:.4g}" for value in spread)
+
+
 def _incident(explanation: Explanation, incident: Incident) -> dict[str, Any]:
     root = incident.root
     return {
@@ -82,6 +115,7 @@ def _incident(explanation: Explanation, incident: Incident) -> dict[str, Any]:
         "axis": incident.axes[0] if len(incident.axes) == 1 else None,
         "kind": root.kind,
         "who": incident.who,
+        "count": incident.count,
         "title": title(explanation, incident),
         "t_s": explanation.at_s(incident.begin_ns),
         "end_s": explanation.at_s(incident.end_ns),
@@ -133,7 +167,8 @@ def screen(explanation: Explanation, source: str) -> Iterator[str]:
         yield ""
         yield "warnings"
         for incident in warnings:
-            yield f"{incident.number}  {_when(explanation, incident)}  {title(explanation, incident)}: {incident.root.text}"
+            times = f" ({incident.count} times)" if incident.count > 1 else ""
+            yield f"{incident.number}  {_when(explanation, incident)}  {title(explanation, incident)}: {incident.root.text}{times}"
     well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
     if well:
         yield ""
@@ -171,6 +206,9 @@ def detail_lines(explanation: Explanation, incident: Incident, source: str) -> I
     yield ""
     yield f"why it matters: {KINDS[root.kind].why}"
     yield f"see: {KINDS[root.kind].clause}"
+    yield ""
+    yield "nodes (minimum / median / maximum)"
+    yield from (f"  {line}" for line in _node_table(explanation))
     frames = _frames(explanation, incident)
     if frames:
         yield ""
@@ -254,7 +292,8 @@ def markdown(explanation: Explanation, source: str) -> str:
         lines += ["", *(f"    {_plain(line)}" for line in _course(explanation, incident))]
         lines += ["", f"{KINDS[incident.root.kind].why} See {KINDS[incident.root.kind].clause}."]
     well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
-    lines += ["", f"Well: {_plain(', '.join(well)) or 'none'}"]
+    lines += ["", f"Well: {_plain(', '.join(well)) or 'none'}", "", "Nodes (minimum / median / maximum)", ""]
+    lines += [f"    {_plain(line)}" for line in _node_table(explanation)]
     return "\n".join(lines) + "\n"
 
 
@@ -290,5 +329,7 @@ def html_page(explanation: Explanation, source: str) -> str:
         )
     well = [explanation.bus.name(node.number) for node in explanation.nodes if node.well]
     parts.append(f"<p>Well: {safe(', '.join(well)) or 'none'}</p>")
+    table = "\n".join(safe(line) for line in _node_table(explanation))
+    parts.append(f"<h2>Nodes (minimum / median / maximum)</h2><pre>{table}</pre>")
     head = f'<meta charset="utf-8"><title>{safe(source)}</title><style>{STYLE}</style>'
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'

@@ -54,7 +54,7 @@ WHO: Mapping[str, str] = MappingProxyType(
         "client",
     )
     | dict.fromkeys(
-        ("bus_load", "starved", "two_sync", "duplicate_node", "pdo_length", "mode_refused", "no_pdo", "unwatched"),
+        ("bus_load", "starved", "two_sync", "duplicate_node", "pdo_length", "mode_refused", "no_pdo", "runs_on"),
         "configuration",
     )
     | dict.fromkeys(("overrun", "node_missing", "following_error"), "unknown")
@@ -194,6 +194,35 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("Switch it off and on: does it obey then?", "Look whether its receive queue or its firmware is stuck (maker's log).",
              "Compare its bit timing (sample point) with the other nodes."),
             "It cannot be stopped over the bus: no command reaches it.", "CiA 301, 7.3.2.2",
+        ),
+        "time_lost": Kind(
+            31, "TIME stopped", "Its producer, usually the host, does not send the time any more.",
+            ("Check whether the host's program still runs.", "Read 1012h of each node: bit 30 makes it the producer.",
+             "Look whether what needs the time (logs, time stamps) goes on without it."),
+            "Clocks of the nodes drift apart.", "CiA 301, 7.2.6", "bus",
+        ),
+        "lss_refused": Kind(
+            32, "A device refused an LSS service", "Its value is out of range, or the device cannot store it.",
+            ("Read the error code.", "Give a node id from 1 to 127 and a bit rate of CiA 301.", "Ask the maker which LSS services the device has."),
+            "The device keeps its old node id or bit rate.", "CiA 305", "bus",
+        ),
+        "no_pdo": Kind(
+            52, "No PDO comes", "The nodes are OPERATIONAL beside SYNC, and no PDO is switched on.",
+            ("Read 1800h:01 and 1400h:01 of the node: bit 31 switches a PDO off.", "Read 1A00h:00: a map without objects sends nothing.",
+             "Read 1800h:02: 254 and 255 send only on a change."),
+            "There are no measurements and no set-points.", "CiA 301, 7.5.2.37", "node",
+        ),
+        "runs_on": Kind(
+            96, "A drive runs on without its host", "No watch of the drive ends its motion when the host falls silent.",
+            ("Stop it by its emergency stop, not over the bus.",
+             "Write 1016h (heartbeat of the host), 6007h (abort connection) and 1029h (error behaviour) at bring-up.",
+             "Give its RPDO an event timer (1400h:05)."),
+            "Nobody commands it, and it moves: a hand may be on it.", "CiA 301, 7.5.2.19; CiA 402-2, 6007h",
+        ),
+        "setpoint_ignored": Kind(
+            48, "A drive ignores its set-points", "In a cyclic mode it clears statusword bit 12: it does not follow.",
+            ("Read its EMCY and 603Fh.", "Compare the period of the set-points with 60C2h.", "Look for a limit switch or a halt input."),
+            "The host commands, and the axis does as it likes.", "CiA 402-2, statusword bit 12",
         ),
         "guard_toggle": Kind(
             21, "The toggle bit of node guarding did not alternate", "An answer was lost, came twice, or the node restarted.",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from coulombus.explain.clues import Clue
 from coulombus.explain.incident_words import KINDS, WHO
 
-__all__ = ["Incident", "join"]
+__all__ = ["OF_AXES", "Incident", "join"]
 
 S = 1_000_000_000
 AFTER_NS = S
@@ -37,6 +37,11 @@ CLIENT = frozenset(
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
 FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
 """Kinds with consequences at every node."""
+PROOFS, PROOF_NS = frozenset({"duplicate_node", "second_master"}), 5 * S
+"""Kinds that explain an incident though its first sign comes earlier, by this time at most."""
+ABSENCES = frozenset(
+    {"node_lost", "host_lost", "sync_lost", "bus_silent", "tpdo_missing", "rpdo_missing", "pdo_stopped"}
+)
 SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
 SILENCE_NS = 300_000_000
 """Maximum lead of a silence, which begins at the last received frame, before its cause."""
@@ -66,7 +71,7 @@ GONE = frozenset(
 OF_AXES = frozenset(
     {
         *("drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"),
-        *("following_error", "limit_active", "torque_when_off", "mode_refused"),
+        *("setpoint_ignored", "runs_on", "following_error", "limit_active", "torque_when_off", "mode_refused"),
     }
 )
 TOLD_BY_NODE = OF_AXES | {"emcy", "left_operational"}
@@ -94,8 +99,12 @@ class Incident:
         grave = [clue for clue in telling if clue.kind not in MINOR] or telling
         known = min(clue.due_ns for clue in grave)
         early = [clue for clue in grave if clue.begin_ns <= known + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= known + PROOF_NS]
         early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
-        return max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
+        root = max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
+        if root.kind in ABSENCES:  # what destroys frames silences nodes
+            return next((clue for clue in early if clue.kind == "error_frames" and clue.begin_ns <= root.due_ns), root)
+        return root
 
     @property
     def begin_ns(self) -> int:
@@ -133,6 +142,16 @@ class Incident:
         if self.root.kind not in TOLD_BY_NODE:
             return self.root
         return next((c for c in self.clues if c.kind in ("emcy", "error_code") and c.node == self.node), self.root)
+
+    @property
+    def is_danger(self) -> bool:
+        """Whether somebody may be hurt now."""
+        return self.root.kind == "runs_on"
+
+    @property
+    def count(self) -> int:
+        """Number of observations of its kind."""
+        return sum(clue.count for clue in self.clues if clue.kind == self.root.kind)
 
     @property
     def who(self) -> str:
@@ -185,11 +204,29 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
         else:
             incidents.append(Incident([clue]))
     order = {"unresolved": 0, "recovered": 1, "warning": 2}
-    incidents.sort(key=lambda incident: (order[incident.status], _minor(incident), incident.begin_ns))
+    incidents = list(_merged(incidents))
+    incidents.sort(
+        key=lambda incident: (order[incident.status], _minor(incident), not incident.is_danger, incident.begin_ns)
+    )
     for number, incident in enumerate(incidents, 1):
         incident.number = number
         incident.clues.sort(key=lambda clue: clue.begin_ns)
     return incidents
+
+
+def _merged(incidents: list[Incident]) -> Iterator[Incident]:
+    """Yield incidents; equal warnings are one."""
+    first: dict[tuple[str, int | None, str], Incident] = {}
+    for incident in incidents:
+        root = incident.root
+        key = root.kind, root.node, root.text if root.kind in SDO else ""
+        if incident.status != "warning" or any(clue.kind != root.kind for clue in incident.clues):
+            yield incident
+        elif key in first:
+            first[key].clues += incident.clues
+        else:
+            first[key] = incident
+            yield incident
 
 
 def _order(clue: Clue) -> tuple[bool, int, int]:
@@ -212,6 +249,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     end = incident.end_ns
     trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
     at = clue.begin_ns
+    if "runs_on" in (clue.kind, incident.root.kind):
+        return clue.kind == incident.root.kind and clue.node == incident.node  # a danger is told by itself
     if (
         trip is not None
         and trip.begin_ns - PROMPT_NS <= at <= trip.begin_ns + TRIP_NS
@@ -242,6 +281,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
         )
     if root.node == clue.node:
         return True
+    if root.kind in ("node_lost", "host_lost") and clue.kind == "rpdo_missing":
+        return clue.begin_ns <= root.due_ns  # their sender fell silent
     if clue.kind == "rpdo_late":  # the host waits for the missing TPDO
         return any(known.kind in ("tpdo_missing", "tpdo_late") for known in incident.clues)
     return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.explain.bus import Bus, Order
 from coulombus.explain.frames import Block, Integers
@@ -10,6 +12,10 @@ __all__ = ["Orders"]
 
 WORKS_NS = 50_000_000
 """A master that still sends set-points so long after its own command would not have meant it."""
+AT_WORK_NS = 1_000_000_000
+"""Time after a set-point within which its node is at work."""
+RPDOS = range(0x200, 0x580)
+NONE = np.zeros(0, np.int64)
 LEAST = 5
 """Set-points behind the command, at least."""
 
@@ -22,39 +28,50 @@ class Orders:
         self._seen = 0
         self._pending: dict[int, tuple[Order, int]] = {}
         """By node, the last command out of OPERATIONAL, and the number of set-points since."""
-        self._at_work: set[int] = set()
-        """Nodes that got set-points in the block before."""
+        self._last_ns: dict[int, int] = {}
+        """By node, the last set-point."""
 
     def take(self, block: Block) -> None:
         """Process a block."""
         orders, self._seen = self.bus.orders[self._seen :], len(self.bus.orders)
-        set_points = [
-            (known.node, group.t_ns)
-            for key, group in block.groups.items()
-            if (known := self.bus.maps.get(key)) is not None and known.direction == "rpdo"
-        ]
+        set_points = self._set_points(block)
         for order in orders:
             for node in [n for n in self.bus.nodes if order.concerns(n)]:
+                t_ns = set_points.get(node, NONE)
                 if order.command == NmtCommand.START:
-                    for n, t_ns in set_points:
-                        if n == node and node in self._pending:
-                            since = self._pending[node][0].t_ns
-                            self._follow(node, t_ns[(t_ns > since) & (t_ns < order.t_ns)])
+                    self._follow(node, t_ns[t_ns < order.t_ns])
                     self._pending.pop(node, None)
                     self.clues.end("ordered_away", node, order.t_ns, "it is started again")
-                elif node in self._at_work or any(n == node and t_ns[0] < order.t_ns for n, t_ns in set_points):
+                    continue
+                place = int(t_ns.searchsorted(order.t_ns))
+                last_ns = int(t_ns[place - 1]) if place else self._last_ns.get(node, -AT_WORK_NS)
+                if order.t_ns - last_ns < AT_WORK_NS:
                     self._pending.setdefault(node, (order, 0))
-        for node, t_ns in set_points:
-            if node in self._pending:
-                self._follow(node, t_ns[t_ns > self._pending[node][0].t_ns])
-        self._at_work = {node for node, _ in set_points}
+        for node, t_ns in set_points.items():
+            self._follow(node, t_ns)
+            self._last_ns[node] = int(t_ns[-1])
+
+    def _set_points(self, block: Block) -> dict[int, Integers]:
+        """Return the times of all RPDOs of each node: by its map, else by the identifier."""
+        times: dict[int, list[Integers]] = {}
+        for key, group in block.groups.items():
+            known = self.bus.maps.get(key)
+            usual = key in RPDOS and not key & 0x80 and key & 0x7F
+            if known.direction == "rpdo" if known is not None else usual:
+                times.setdefault(known.node if known is not None else key & 0x7F, []).append(group.t_ns)
+        return {node: np.sort(np.concatenate(stamps)) for node, stamps in times.items()}
 
     def _follow(self, node: int, t_ns: Integers) -> None:
+        """Count set-points behind a command, and note that they go on."""
+        if node not in self._pending:
+            return
         order, count = self._pending[node]
+        t_ns = t_ns[t_ns > max(order.t_ns, self._last_ns.get(node, -1))]
         self._pending[node] = order, count + len(t_ns)
-        late = len(t_ns) and int(t_ns[-1]) - order.t_ns >= WORKS_NS
+        number = count + 1 + np.arange(len(t_ns))
+        late = np.flatnonzero((t_ns - order.t_ns >= WORKS_NS) & (number >= LEAST))
         ended = 0 <= self.bus.safe_ns <= order.t_ns
-        if late and count + len(t_ns) >= LEAST and not ended and not self.clues.stands("ordered_away", node):
+        if len(late) and not ended and not self.clues.stands("ordered_away", node):
             words = NmtCommand(order.command).name.lower().replace("_", " ")
-            text = f"NMT {words}, and set-points still come {(int(t_ns[-1]) - order.t_ns) / 1e6:.0f} ms later"
+            text = f"NMT {words}, and set-points still come {(int(t_ns[late[0]]) - order.t_ns) / 1e6:.0f} ms later"
             self.clues.begin("ordered_away", node, order.t_ns, text, row=order.row)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order
 from coulombus.explain.clues import Clue
-from coulombus.explain.device_errors import error_text
+from coulombus.explain.device_errors import error_check, error_text
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.seen_node import SeenNode
 from coulombus.wire.data_word import data_bytes
@@ -28,6 +28,10 @@ BOOT_NS = 5 * S
 """Time after a reset command within which a node boots."""
 FLYING_NS, HEEDED_NS = 20_000_000, S
 """Time after a command within which a node's frames may still be from before it; the same for heartbeats."""
+FLIPS = 4
+"""Successive heartbeats with another state than the one before that two devices send."""
+RUNS_NS = S // 2
+"""Time after the host is missed within which a drive's own watch ends its motion."""
 NEVER = 1 << 63
 LIFE_ERROR = 0x8130
 """EMCY of a node that misses the heartbeat or guarding of another one."""
@@ -157,6 +161,8 @@ class Nodes:
     def _lost(self, block: Block | None, node: SeenNode, t_ns: int, text: str, row: int, due_ns: int) -> None:
         """Begin the loss of a node."""
         kind = "host_lost" if self.bus.is_host(node.number, due_ns) else "node_lost"
+        if kind == "host_lost":
+            self.bus.abandoned_ns.append(due_ns + RUNS_NS)
         self._loss[node.number] = self.clues.begin(kind, node.number, t_ns, text, row=row, due_ns=due_ns)
         self._seek(block, node.number)
 
@@ -243,6 +249,9 @@ class Nodes:
     def _interval(self, row: int, t_ns: int, node: SeenNode) -> None:
         """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
+        if self.clues.end("host_lost", number, t_ns, "its heartbeats come again"):
+            for other in self.bus.nodes:
+                self.clues.end_all("runs_on", other, t_ns, "the host is back")
         for kind in LOST_KINDS:
             self.clues.end(kind, number, t_ns, "its heartbeats come again")
         if node.heartbeat_ns < 0 or number in self._toggles:
@@ -296,6 +305,7 @@ class Nodes:
     def _state(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
         before = node.state
         node.enter(t_ns, state)
+        self._alternates(row, t_ns, node, before != state)
         node.always_operational &= state == NmtState.OPERATIONAL
         number = node.number
         if state == NmtState.OPERATIONAL:
@@ -323,6 +333,15 @@ class Nodes:
             text = f"ordered to start at {self._at(last.t_ns)}, it stays {STATES.get(NmtState(state), state)}"
             if not self.clues.stands("not_started", number):
                 self.clues.begin("not_started", number, last.t_ns, text, row=row)
+
+    def _alternates(self, row: int, t_ns: int, node: SeenNode, changes: bool) -> None:
+        """Note two devices whose heartbeats tell two states in turn."""
+        node.flips = [*node.flips[1 - FLIPS :], t_ns if changes else -1]
+        times = [flip for flip in node.flips if flip >= 0]
+        if len(times) == FLIPS and self.bus.ordered(node.number, times[0], t_ns) is None:
+            text = "its heartbeats tell two states in turn: two devices send them"
+            if not self.clues.stands("duplicate_node", node.number, "heartbeat"):
+                self.clues.begin("duplicate_node", node.number, times[0], text, row=row, subject="heartbeat")
 
     def _guard(self, block: Block, row: int, t_ns: int, number: int) -> None:
         """Process a request of node guarding (CiA 301, 7.2.8.3.2.1)."""
@@ -354,7 +373,6 @@ class Nodes:
         if len(data) < 2:
             return
         self.bus.node(number, t_ns)
-        self.bus.canopen += 1
         code = int.from_bytes(data[:2], "little")
         self.bus.nodes[number].emergencies += code != 0
         if code == 0:
@@ -365,7 +383,7 @@ class Nodes:
         text = f"EMCY {error_text(code)}"
         if len(data) >= 3:
             text += f" (error register {data[2]:02X}h)"
-        self.clues.begin("emcy", number, t_ns, text, row=row, subject=code)
+        self.clues.begin("emcy", number, t_ns, text, row=row, subject=code).check = error_check(code)
 
     def _at(self, t_ns: int) -> str:
         return f"{(t_ns - self.bus.first_ns) / 1e9:.3f} s"

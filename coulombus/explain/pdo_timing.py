@@ -16,8 +16,8 @@ from coulombus.recording.maps.seen_maps import Map
 __all__ = ["PdoTiming"]
 
 MS, NEVER = 1_000_000, 1 << 62
-LEARN = 20
-"""Frames of which the usual time after SYNC is learned; twice as many for a PDO's own period."""
+LEARN, TIMED = 20, 15
+"""Frames of which the usual time after SYNC is learned; intervals of which the own period of a PDO is."""
 ACTIVE, CHANCE, LONG = 3, 50, 200
 """Successive SYNC intervals with one frame that show a synchronous PDO: if its type says so, if its type is unknown and
 its contents were repeated, and if only its time after SYNC is steady.
@@ -89,7 +89,8 @@ class _Pdo:
     # by its own period
     gaps: list[int] = field(default_factory=list)
     period_ns: int = 0
-    excused: bool = False  # the present stop is explained
+    excused: bool = False  # the present stop is explained, or noted
+    stopped: str = ""  # kind of the clue of a stop
     # in excess
     rapid: Rolling = field(default_factory=lambda: Rolling(BABBLE_WINDOW))
     babbles: bool = False
@@ -378,21 +379,31 @@ class PdoTiming:
                 pdo.usual_ns, pdo.learned = -1.0, []
 
     def _late(self, pdo: _Pdo, group: Frames, places: Integers, latency: npt.NDArray[np.float64]) -> None:
-        skipped = 0
-        if pdo.usual_ns < 0:
-            skipped = min(len(latency), LEARN - len(pdo.learned))
-            pdo.learned += latency[:skipped].tolist()
-            if len(pdo.learned) < LEARN:
-                return
-            pdo.usual_ns = float(np.median(pdo.learned))
-        usual, deviation = pdo.usual_ns, latency[skipped:] - pdo.usual_ns
-        strange = np.abs(deviation) > 0.3 * self.bus.sync_period_ns
+        """Compare times after SYNC with the usual one, or with earlier ones if the PDO may have a clock of its own."""
+        skipped, period = 0, self.bus.sync_period_ns
+        if pdo.synchronous:
+            if pdo.usual_ns < 0:
+                skipped = min(len(latency), LEARN - len(pdo.learned))
+                pdo.learned += latency[:skipped].tolist()
+                if len(pdo.learned) < LEARN:
+                    return
+                pdo.usual_ns = float(np.median(pdo.learned))
+            usual = np.full(len(latency) - skipped, pdo.usual_ns)
+        else:
+            whole = np.concatenate((pdo.learned, latency))
+            pdo.learned = whole[-LEARN:].tolist()
+            skipped = max(LEARN - (len(whole) - len(latency)), 0)
+            usual = whole[: max(len(whole) - LEARN, 0)][-len(latency) :] if len(latency) else latency
+        deviation = latency[skipped:] - usual
+        if not pdo.synchronous:
+            deviation = (deviation + period / 2) % period - period / 2
+        strange = np.abs(deviation) > 0.3 * period
         often = np.flatnonzero((pdo.late.counts(strange) >= OFTEN) & strange)
         if len(often):
             which = places[skipped:][often]
             how = "late" if deviation[often[0]] > 0 else "after the next SYNC"
             worst = latency[skipped:][often[0]]
-            text = f"{pdo.name} comes {how}: {worst / MS:.2f} ms after SYNC, usually {usual / MS:.2f} ms"
+            text = f"{pdo.name} comes {how}: {worst / MS:.2f} ms after SYNC, usually {usual[often[0]] / MS:.2f} ms"
             kind, i = "tpdo_late" if pdo.sends else "rpdo_late", int(which[0])
             clue = self.clues.note(
                 kind, pdo.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=pdo.key, count=len(often)
@@ -403,6 +414,8 @@ class PdoTiming:
 
     def _own_period(self, pdo: _Pdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
         """Learn the period of a PDO that does not follow SYNC, and note its stops."""
+        if pdo.synchronous and pdo.stopped:
+            self._comes(pdo, int(group.t_ns[0]))
         own = stamps[1:] < pdo.followed_ns
         if not pdo.synchronous and own.any():
             number = int(own.sum())
@@ -413,9 +426,9 @@ class PdoTiming:
     def _own_gaps(self, pdo: _Pdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
         skipped = 0
         if not pdo.period_ns:
-            skipped = min(len(gaps), 2 * LEARN - len(pdo.gaps))
+            skipped = min(len(gaps), TIMED - len(pdo.gaps))
             pdo.gaps += gaps[:skipped].tolist()
-            if len(pdo.gaps) < 2 * LEARN:
+            if len(pdo.gaps) < TIMED:
                 return
             low, median, high = (float(value) for value in np.percentile(pdo.gaps, (5, 50, 95)))
             even = high < 1.5 * median and min(pdo.gaps) > 0.5 * median
@@ -432,7 +445,7 @@ class PdoTiming:
             if not pdo.excused:
                 self._stopped(pdo, begin, int(rows[i]), end)
             pdo.excused = False
-            self.clues.end("pdo_stopped", pdo.node, end, "it comes again", subject=pdo.key)
+            self._comes(pdo, end)
 
     def _stopped(self, pdo: _Pdo, begin: int, row: int, t_ns: int) -> None:
         """Note a stop that is overdue at a time [ns]."""
@@ -444,7 +457,13 @@ class PdoTiming:
             return
         text = f"{pdo.name} stops, it came every {pdo.period_ns / MS:.3g} ms"
         due = begin + pdo.period_ns
-        self.clues.begin("pdo_stopped", pdo.node, begin, text, row=row, subject=pdo.key, due_ns=due)
+        pdo.stopped = "pdo_stopped" if pdo.sends else "rpdo_missing"
+        self.clues.begin(pdo.stopped, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=due)
+
+    def _comes(self, pdo: _Pdo, t_ns: int) -> None:
+        if pdo.stopped:
+            self.clues.end(pdo.stopped, pdo.node, t_ns, "it comes again", subject=pdo.key)
+            pdo.stopped = ""
 
     # in excess
 

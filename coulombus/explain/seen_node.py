@@ -57,6 +57,8 @@ class SeenNode(MappedNode):
     learned_ns: int = -1  # time at which the period was learned
     states: list[tuple[int, int]] = field(default_factory=list)
     """NMT state, from each time [ns] of a change."""
+    flips: list[int] = field(default_factory=list)
+    """Times [ns] of the last heartbeats that changed its state; -1 for one that did not."""
     boots: int = 0
     emergencies: int = 0
     transfers: int = 0
@@ -70,6 +72,10 @@ class SeenNode(MappedNode):
         """Return the NMT state at a time [ns], -1 if unknown."""
         place = bisect.bisect_right(self.states, t_ns, key=lambda change: change[0])
         return self.states[place - 1][1] if place else -1
+
+    def since(self, state: int) -> int:
+        """Return the first time [ns] of a state, -1 if none."""
+        return next((t_ns for t_ns, entered in self.states if entered == state), -1)
 
     def enter(self, t_ns: int, state: int) -> None:
         """Note the NMT state at a time [ns]."""

@@ -22,8 +22,8 @@ LATE, CLOSE = 1.5, 0.5
 """Interval, in periods, of a late SYNC; the same of a SYNC that follows too soon."""
 UNEVEN, SHARE, WINDOW = 0.2, 0.3, 50
 """Deviation, in periods, and least share of such intervals in a window of so many, of a SYNC that jitters."""
-AHEAD, BEHIND = 5, 100
-"""SYNCs by which a second producer leads the period, within so many intervals."""
+AHEAD, BEHIND, NEAR = 5, 100, 9
+"""SYNCs by which a second producer leads the period, within so many intervals; of these, so many are too short."""
 TWICE_NS = MS
 """Maximum interval of a SYNC that came twice."""
 
@@ -53,6 +53,7 @@ class SyncTiming:
         self._lead_ns = 0  # time by which the SYNCs so far lead their period
         self._leads = np.zeros(0, np.int64)  # this lead at the last intervals
         self._most_ns = 0  # its maximum before them
+        self._near = Rolling(BEHIND)
         self._number = 0  # intervals so far
         self._close: tuple[int, int] | None = None  # time and row of the first SYNC of a series that follow too soon
         self._close_ns = self._close_number = -1  # time and interval of the last one
@@ -185,7 +186,8 @@ class SyncTiming:
         known = np.concatenate((self._leads, lead))
         most = np.maximum.accumulate(np.concatenate(([self._most_ns], known)))
         earlier = most[np.maximum(np.arange(len(most) - len(lead), len(most)) - BEHIND, 0)]
-        ahead = np.flatnonzero(lead - earlier > AHEAD * period)
+        often = self._near.counts(gaps < CLOSE * period) >= NEAR
+        ahead = np.flatnonzero((lead - earlier > AHEAD * period) & often)
         self._lead_ns, self._leads = int(lead[-1]), known[-BEHIND:]
         self._most_ns = int(most[max(len(most) - 1 - BEHIND, 0)])
         for i in np.flatnonzero(gaps < CLOSE * period).tolist():

@@ -217,6 +217,9 @@ def set_points(log, node, begin, end, period=2.0, delay=1.0):
     return log
 
 
+NODES = "nodes (minimum / median / maximum)"
+
+
 def bus_off():
     return machine(3).error(1000, 0x040, bytes(8))
 
@@ -271,7 +274,7 @@ def pdo_stopped():
         (error_passive, None, "unresolved", "Look at plugs and cable to the node"),
         (overrun, None, "warning", "Record with fewer other programs running."),
         (host_lost, 0x7F, "unresolved", "Check whether the host's program still runs"),
-        (error_code, 5, "unresolved", "Look the code up in the maker's manual."),
+        (error_code, 5, "unresolved", "Let it cool, and check load, fan and ambient temperature."),
         (left_enabled, 5, "unresolved", "Check the enable input and the emergency stop."),
         (rpdo_late, 3, "warning", "Look at what else ran on the host."),
         (pdo_stopped, 3, "unresolved", "Check the node's NMT state."),
@@ -288,6 +291,15 @@ def test_an_incident_tells_cause_consequence_steps_clause_and_frames_apart():
     explanation = machine(5).add(1000, 0x085, bytes.fromhex("1042010000000000")).explained()
     lines = list(detail_lines(explanation, explanation.incidents[0], "a.log"))
     heads = [line.partition(":")[0] for line in lines if line and not line.startswith(" ")]
-    assert heads[1:] == ["cause (reported)", "what happened", "check first", "why it matters", "see", "frames", "next"]
+    assert heads[1:] == [
+        "cause (reported)",
+        "what happened",
+        "check first",
+        "why it matters",
+        "see",
+        "nodes (minimum / median / maximum)",
+        "frames",
+        "next",
+    ]
     assert [line[2:5] for line in lines if line.startswith(("  1. ", "  2. ", "  3. "))] == ["1. ", "2. ", "3. "]
     assert any("  085  10 42 01" in line for line in lines)

@@ -1,0 +1,89 @@
+"""TIME, LSS, and a bus on which nothing but SYNC comes (CiA 301, 7.2.6; CiA 305)."""
+
+from __future__ import annotations
+
+from coulombus.eds.cia301 import NmtState
+from coulombus.explain.bus import Bus
+from coulombus.explain.frames import SYNC, Block
+from coulombus.wire.data_word import data_bytes
+
+__all__ = ["Services"]
+
+TIME, LSS_ANSWER = 0x100, 0x7E4
+ENOUGH, STOPPED = 3, 2.5
+"""Intervals of which the period of TIME is learned; periods without TIME after which it has stopped."""
+EMPTY_NS = 2_000_000_000
+"""Time with SYNC and an OPERATIONAL node after which a bus has no PDO."""
+PDOS = range(0x180, 0x580)
+REFUSALS = {
+    0x11: ("configure node id", {1: "the node id is out of range"}),
+    0x13: ("configure bit timing", {1: "the bit rate is not supported"}),
+    0x17: ("store configuration", {1: "the device cannot store it", 2: "the memory does not work"}),
+}
+"""LSS services with an error code, and the codes' meaning."""
+
+
+class Services:
+    """Monitors services of the bus that have few frames."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._times: list[int] = []  # the last stamps of TIME
+        self._row = -1
+        self._period_ns = 0
+        self._due_ns = 1 << 62  # time at which a bus without PDO is one
+
+    def take(self, block: Block) -> None:
+        """Process a block."""
+        for row, t_ns, key, word, length in block.of(TIME, LSS_ANSWER):
+            if key == TIME:
+                self.look(t_ns - 1)
+                self._time(row, t_ns)
+            elif length == 8:
+                self._lss(row, t_ns, data_bytes(word, 8))
+        if len(block.t_ns):
+            self.look(int(block.t_ns[-1]))
+
+    def look(self, t_ns: int) -> None:
+        """Note what is overdue at a time [ns]."""
+        overdue = self._period_ns and t_ns > self._times[-1] + STOPPED * self._period_ns
+        if overdue and not self.clues.stands("time_lost", None):
+            text = f"TIME stops: it came every {self._period_ns / 1e9:g} s"
+            due = self._times[-1] + self._period_ns
+            self.clues.begin("time_lost", None, self._times[-1], text, row=self._row, due_ns=due)
+        sync = self.bus.first_of.get(SYNC)
+        if sync is not None and self._due_ns and t_ns > sync + EMPTY_NS:
+            self._empty(sync, t_ns)
+
+    def _time(self, row: int, t_ns: int) -> None:
+        self.clues.end("time_lost", None, t_ns, "TIME comes again")
+        self._times, self._row = [*self._times[-ENOUGH:], t_ns], row
+        gaps = sorted(later - earlier for earlier, later in zip(self._times, self._times[1:], strict=False))
+        if not self._period_ns and len(gaps) >= ENOUGH and gaps[-1] < 1.2 * gaps[0]:
+            self._period_ns = gaps[len(gaps) // 2]
+
+    def _lss(self, row: int, t_ns: int, data: bytes) -> None:
+        if data[0] not in REFUSALS or not data[1]:
+            return
+        service, codes = REFUSALS[data[0]]
+        why = codes.get(data[1], f"error {data[1]}" + (f", the maker's {data[2]}" if data[1] == 0xFF else ""))
+        self.clues.begin("lss_refused", None, t_ns, f"LSS {service} is refused: {why}", row=row, subject=data[0])
+
+    def _empty(self, sync_ns: int, t_ns: int) -> None:
+        """Note a bus with SYNC and OPERATIONAL nodes, and without a PDO."""
+        pdos = [first for key, first in self.bus.first_of.items() if key in PDOS]
+        starts = [
+            (since_ns, node)
+            for node in self.bus.nodes.values()
+            if not self.bus.is_host(node.number, t_ns) and (since_ns := node.since(NmtState.OPERATIONAL)) >= 0
+        ]
+        due_ns = max(sync_ns, min((since_ns for since_ns, _ in starts), default=t_ns)) + EMPTY_NS
+        if pdos and min(pdos) <= due_ns:
+            self._due_ns = 0  # there are PDOs
+        elif t_ns > due_ns:
+            self._due_ns = 0
+            there = [node.number for _, node in starts if node.state_at(due_ns) == NmtState.OPERATIONAL]
+            number = there[0] if len(there) == 1 else None
+            text = f"OPERATIONAL beside SYNC for {EMPTY_NS / 1e9:g} s, and not one PDO"
+            if there:
+                self.clues.begin("no_pdo", number, due_ns - EMPTY_NS, text, due_ns=due_ns)
