@@ -146,7 +146,7 @@ class Incident:
     @property
     def is_danger(self) -> bool:
         """Whether somebody may be hurt now."""
-        return self.root.kind == "runs_on"
+        return self.root.kind == "runs_on" and self.status == "unresolved"
 
     @property
     def count(self) -> int:
@@ -250,7 +250,7 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
     at = clue.begin_ns
     if "runs_on" in (clue.kind, incident.root.kind):
-        return clue.kind == incident.root.kind and clue.node == incident.node  # a danger is told by itself
+        return clue.kind == incident.root.kind and at < incident.begin_ns + AFTER_NS  # a danger is told by itself
     if (
         trip is not None
         and trip.begin_ns - PROMPT_NS <= at <= trip.begin_ns + TRIP_NS
@@ -263,6 +263,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     if at < incident.begin_ns - tolerance or (end is not None and at > end + AFTER_NS):
         return False
     root = incident.root
+    if clue.kind in SILENCE and clue.kind == root.kind and clue.node == root.node and root.end_ns is not None:
+        return False  # it came back, and was lost again
     if clue.kind in SDO or root.kind in SDO:
         return _sdo(incident, root, clue)
     if clue.kind == "host_trip":

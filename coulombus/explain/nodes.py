@@ -250,6 +250,7 @@ class Nodes:
         """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
         if self.clues.end("host_lost", number, t_ns, "its heartbeats come again"):
+            self.bus.abandoned_ns = [at_ns for at_ns in self.bus.abandoned_ns if at_ns <= t_ns]
             for other in self.bus.nodes:
                 self.clues.end_all("runs_on", other, t_ns, "the host is back")
         for kind in LOST_KINDS:

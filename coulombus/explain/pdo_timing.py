@@ -277,7 +277,7 @@ class PdoTiming:
         if t_ns - empty.last_ns <= GAP * max(self.bus.sync_period_ns, empty.until_ns - empty.begin_ns):
             return
         pdo.empty = None
-        if self._excused(pdo.node, empty.begin_ns, t_ns):
+        if self._excused(pdo.node, min(empty.begin_ns + self._at_once_ns, t_ns)):
             pdo.regular, pdo.missing = False, 0
             pdo.spans[-1][1] = empty.begin_ns
             return
@@ -306,17 +306,21 @@ class PdoTiming:
                     return start + streak - before - 1
         return found
 
-    def _excused(self, node: int | None, begin: int, until_ns: int) -> bool:
-        """Return whether an NMT command explains that a PDO stops at a time, as known at another."""
-        due_ns = self.bus.order_due_ns(begin, max(3 * self.bus.sync_period_ns, 20 * MS))
-        return node is None or self.bus.left_on_order(node, min(due_ns, until_ns))
+    @property
+    def _at_once_ns(self) -> int:
+        """Time after its begin within which an NMT command explains that a PDO is missing, while SYNC goes on."""
+        return max(3 * self.bus.sync_period_ns, 20 * MS)
+
+    def _excused(self, node: int | None, until_ns: int) -> bool:
+        """Return whether NMT commands until a time [ns] explain that a PDO stops."""
+        return node is None or self.bus.left_on_order(node, until_ns)
 
     def _settle(self, pdo: _Pdo, t_ns: int) -> None:
         """Note a stop that no NMT command explained in time."""
         assert pdo.held is not None
         begin, row = pdo.held
-        due_ns = self.bus.order_due_ns(begin, max(3 * self.bus.sync_period_ns, 20 * MS))
-        if self._excused(pdo.node, begin, t_ns):
+        due_ns = begin + self._at_once_ns
+        if self._excused(pdo.node, min(due_ns, t_ns)):
             pdo.held, pdo.regular, pdo.missing_ns = None, False, -1
             pdo.usual_ns, pdo.learned = -1.0, []
         elif t_ns > due_ns:
@@ -453,7 +457,7 @@ class PdoTiming:
         if t_ns <= due_ns:
             return
         pdo.excused = True
-        if pdo.node is None or self._excused(pdo.node, begin, due_ns):
+        if pdo.node is None or self._excused(pdo.node, due_ns):
             return
         text = f"{pdo.name} stops, it came every {pdo.period_ns / MS:.3g} ms"
         due = begin + pdo.period_ns

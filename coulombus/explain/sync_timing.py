@@ -54,6 +54,7 @@ class SyncTiming:
         self._leads = np.zeros(0, np.int64)  # this lead at the last intervals
         self._most_ns = 0  # its maximum before them
         self._near = Rolling(BEHIND)
+        self._doubled: list[int] = []  # begins [ns] of the times with two producers
         self._number = 0  # intervals so far
         self._close: tuple[int, int] | None = None  # time and row of the first SYNC of a series that follow too soon
         self._close_ns = self._close_number = -1  # time and interval of the last one
@@ -147,9 +148,11 @@ class SyncTiming:
             self._gap(block, int(stamps[i]), int(stamps[i + 1]), int(rows[i]), i == 0)
         self._second_producer(stamps[1:], rows[1:], gaps)
         deviates = np.abs(gaps - period) > UNEVEN * period
-        uneven = self._uneven.counts(deviates & (gaps < 3 * period))
-        often = np.flatnonzero(uneven >= SHARE * WINDOW)
-        if len(often) and not self.clues.stands("two_sync", None):
+        uneven = self._uneven.counts(deviates & (gaps < 3 * period)) >= SHARE * WINDOW
+        for (_, end), begin in zip(self.bus.two_sync, self._doubled, strict=True):
+            uneven &= (stamps[1:] < begin) | (stamps[1:] > end)
+        often = np.flatnonzero(uneven)
+        if len(often):
             i = int(often[0])
             worst = max(self._worst_ns, int(np.abs(gaps[: i + 1] - period)[gaps[: i + 1] < 3 * period].max(initial=0)))
             text = f"its intervals differ by up to {worst / MS:.1f} ms from its period of {period / MS:g} ms"
@@ -198,6 +201,9 @@ class SyncTiming:
                 text = f"SYNC comes more than once within its period of {period / MS:g} ms: two nodes produce it"
                 if not self.clues.stands("two_sync", None):
                     self.bus.two_sync.append((int(stamps[ahead[0]]), NEVER))
+                    self._doubled.append(self._close[0])
+                    early = [c for c in self.clues.all if c.kind == "sync_jitter" and c.begin_ns >= self._close[0]]
+                    self.clues.retract(early)
                     self.clues.begin("two_sync", None, self._close[0], text, row=self._close[1])
             self._close_ns, self._close_number = int(stamps[i]), self._number + i
         self._number += len(gaps)

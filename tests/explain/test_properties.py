@@ -1,0 +1,148 @@
+"""A verdict is a property of the frames: not of the blocks in which they are read, of what was before, or of others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.explain_runs import outcome
+from coulombus.explain.explained import Explainer
+from coulombus.recording.maps.eds_files import EdsFiles
+from explain_log import MS, TYPE_402, Log, machine
+
+SEEDS = (1, 4, 6, 9, 16, 22, 27, 36, 57, 64)
+"""Runs of the generator: lost and restarted nodes, two masters, two SYNC producers, babble, a full bus, pairs."""
+
+
+def told(explanation):
+    """Return the incidents with their clues, as a reader has them."""
+    return [
+        (
+            (incident.root.kind, incident.node, incident.status, incident.begin_ns, incident.end_ns, incident.who),
+            [(c.kind, c.node, c.begin_ns, c.end_ns, c.text, c.count, c.end_text) for c in incident.clues],
+        )
+        for incident in explanation.incidents
+    ]
+
+
+def heads(explanation, shift_ms=0.0):
+    """Return kind, node, state and begin of each incident, `shift_ms` earlier."""
+    return sorted(
+        (i.root.kind, str(i.node), i.status, i.begin_ns - round(shift_ms * MS)) for i in explanation.incidents
+    )
+
+
+def explained(frames, size=None, files=None, live=False):
+    explainer = Explainer(eds=files)
+    for start in range(0, len(frames), size or len(frames)):
+        explainer.take(frames[start : start + (size or len(frames))])
+        if live:
+            explainer.look()
+    explainer.end()
+    return explainer.explanation()
+
+
+def run_of(seed):
+    """Return a run's frames, and a function that makes its EDS files anew."""
+    run = outcome(seed)
+    ids, kind = run.machine.ids, run.machine.kind
+    given = {} if run.machine.maps_by_sdo else dict.fromkeys(ids, kind.description)
+    return run.frames, lambda: EdsFiles(dict(given))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_blocks_in_which_a_log_is_read_change_nothing(seed):
+    frames, files = run_of(seed)
+    whole = told(explained(frames, files=files()))
+    assert whole
+    for size in (7, 1000):
+        assert told(explained(frames, size, files())) == whole
+    assert told(explained(frames, 311, files(), live=True)) == whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS[:4])
+def test_a_cut_log_tells_what_was_known_then(seed):
+    frames, files = run_of(seed)
+    whole = {clue[:3] for _, clues in told(explained(frames, files=files())) for clue in clues}
+    for cut in np.linspace(200, len(frames) - 1, 12).astype(int):
+        known = {clue[:3] for _, clues in told(explained(frames[:cut], files=files())) for clue in clues}
+        assert known <= whole
+
+
+def lost_and_commanded(at, until):
+    """Return a machine of which node 4 falls silent, and is commanded to reset in vain."""
+    log = machine(3, until=until).boot(4, 2).beats(4, 63, at)
+    for order in (0.5, 3.5, 28):
+        log.order(at + 1000 * order, 0x81, 4)
+    return log
+
+
+def fell_and_told(at, until):
+    """Return a machine of which node 4 tells of an error between two of its PDOs, and stops them."""
+    log = machine(3, until=until).boot(4, 2).beats(4, 63, at).beats(4, at + 40, until, state=0x7F)
+    for ms in np.arange(70, at - 300, 500):
+        log.add(ms, 0x184, b"\1\2")
+    return log.add(at, 0x084, bytes.fromhex("3081010000000000"))
+
+
+def restarted(at, until):
+    """Return a machine of which node 4 boots by itself, and is started again."""
+    log = machine(3, until=until).boot(4, 2).beats(4, 63, at).boot(4, at + 300).beats(4, at + 320, at + 900, state=0x7F)
+    return log.order(at + 910, 1, 4).beats(4, at + 1000, until)
+
+
+@pytest.mark.parametrize("event", [lost_and_commanded, fell_and_told, restarted])
+@pytest.mark.parametrize("before_s", [60, 200, 460])
+def test_what_was_before_changes_nothing(event, before_s):
+    early, late = event(20e3, 60e3).explained(), event(20e3 + 1e3 * before_s, 60e3 + 1e3 * before_s).explained()
+    assert heads(early)
+    assert heads(late, 1e3 * before_s) == heads(early)
+    assert {i.who for i in late.incidents} == {i.who for i in early.incidents}
+
+
+def test_a_healthy_machine_beside_it_changes_nothing():
+    alone = lost_and_commanded(20e3, 60e3)
+    beside = lost_and_commanded(20e3, 60e3)
+    for node in (11, 12):
+        beside.boot(node, node).beats(node, 60.5 + node, 60e3).order(55, 1, node)
+        for ms in np.arange(71, 60e3, 50):
+            beside.add(ms + node / 10, 0x180 + node, bytes((int(ms) % 7, node)))
+    assert heads(beside.explained()) == heads(alone.explained()) != []
+
+
+def test_two_machines_in_one_log_have_the_incidents_of_both():
+    one, other = lost_and_commanded(20e3, 60e3), Log()
+    other.boot(21, 3).order(52, 1, 21).beats(21, 80.3, 60e3)
+    other.ask(21, 30e3, "2b17100102000000", "8017100111000906")
+    both = lost_and_commanded(20e3, 60e3)
+    both.rows += other.rows
+    assert heads(both.explained()) == sorted(heads(one.explained()) + heads(other.explained()))
+
+
+def test_two_absences_of_a_node_are_two_incidents():
+    log = machine(3, until=8000).boot(4, 2).beats(4, 63, 4000).beats(4, 4700, 5400)
+    lost = sorted((i.begin_ns, i.status) for i in log.explained().incidents)
+    assert [status for _, status in lost] == ["recovered", "unresolved"]
+    assert [round(begin / 1e9, 1) for begin, _ in lost] == [4.0, 5.3]
+
+
+def test_maps_hold_from_the_frame_that_shows_them():
+    log = machine(4, until=6000).ask(4, 20, "4000100000000000", TYPE_402)
+    settings = (("23001a0110006c60", 1), ("23001a0210004160", 2), ("2f001a0002000000", 0))
+    for number, (write, sub) in enumerate(settings):
+        log.ask(4, 22 + number, write, f"60001a0{sub}00000000")
+    for cycle, ms in enumerate(np.arange(70, 6000, 10)):  # the velocity's low word is no statusword
+        log.add(ms, 0x184, (100 * cycle % 0x7FFF).to_bytes(2, "little") + (0x0637).to_bytes(2, "little"))
+    assert log.explained().verdict == "ok"
+    log.order(5950, 0x81, 4).boot(4, 5990)
+    assert log.explained().verdict == "ok"
+
+
+def test_an_assumed_map_that_its_frames_contradict_is_dropped():
+    log = machine(4, until=3000).ask(4, 20, "4000100000000000", TYPE_402)
+    for cycle, ms in enumerate(np.arange(70, 3000, 10)):
+        log.add(ms, 0x184, (37 * cycle % 0x7FFF).to_bytes(2, "little"))
+    told_of = log.explained()
+    assert (told_of.verdict, told_of.nodes[0].maps) == ("ok", "")
