@@ -16,7 +16,7 @@ from coulombus.explain.incidents import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import Map, identified, maps_of
 
-__all__ = ["Bus", "Order", "product"]
+__all__ = ["Bus", "Order", "Silence", "product"]
 
 ENDING_NS = 1_000_000_000
 """Time after its last cycle within which a host that ends commands its nodes out of OPERATIONAL."""
@@ -43,6 +43,14 @@ class Order:
     def concerns(self, node: int) -> bool:
         """Return whether it addresses this node."""
         return self.node in (0, node)
+
+
+@dataclass
+class Silence:
+    """A silence of the host: from when it is missed, until it is back [ns]."""
+
+    due_ns: int
+    back_ns: int = 1 << 62
 
 
 class Bus:
@@ -96,8 +104,8 @@ class Bus:
         """The SYNC [ns] with which its period was learned."""
         self.two_sync: list[tuple[int, int]] = []
         """Times [ns] within which two nodes produce SYNC, as known."""
-        self.abandoned_ns: list[int] = []
-        """Times [ns] at which a drive runs on without its host, if it is in Operation Enabled then."""
+        self.silences: list[Silence] = []
+        """Silences of the host."""
         self.bitrate = 0
         """Bit rate [bit/s] of the rig; 0: unknown."""
         self.host = -1

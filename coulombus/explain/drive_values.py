@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coulombus.eds.cia402 import INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.explain.frames import SYNC, Block, Frames, Integers
 from coulombus.recording.maps.seen_maps import Field, Map
 
 __all__ = ["DriveValues"]
@@ -26,6 +26,11 @@ HELD_NS, MODE_NS = 200_000_000, 1_000_000_000
 MOTION = {0x6C: "velocity", 0x77: "torque", 0x64: "position"}
 WATCHES = ((0x1016, 1), (0x6007, 0), (0x1400, 5))
 """Objects that end a motion without a host: heartbeat consumer, abort connection, event timer of the set-points."""
+RUNS_NS, COMMANDED_NS, NEVER = 500_000_000, 100_000_000, 1 << 62
+"""Time after the host is missed within which a drive's own watch ends its motion; time after which SYNC and set-points
+do not come any more.
+"""
+RPDOS = (0x200, 0x300, 0x400, 0x500)
 RUNS = "0.5 s after its host fell silent"
 OFF_TORQUE = 100
 """Least torque [per mille of the rated torque] that a drive with a disabled power stage cannot have."""
@@ -41,6 +46,7 @@ class DriveValues:
         self._since: dict[tuple[str, int, int], tuple[int, int]] = {}  # time and row of its beginning
         self._followed: dict[tuple[int, int], bool] = {}  # whether the drive ever told that it follows
         self._noted: dict[tuple[str, int, int], int] = {}  # the last of these times that was noted
+        self._last_ns: dict[int, int] = {}  # the last frame of each identifier
         self._modes: dict[tuple[int, int], int] = {}  # last displayed
         self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and its time
 
@@ -60,7 +66,9 @@ class DriveValues:
                 if (TORQUE, axis) in fields:
                     self._torque(group, known.node, axis, state, _column(group, fields[TORQUE, axis]))
                 self._status(group, known.node, axis, status)
-                self._runs_on(group, known, axis, state)
+                self._runs_on(block, group, known, axis, state)
+        for key, group in block.groups.items():
+            self._last_ns[key] = int(group.t_ns[-1])
 
     def _pdos(self, block: Block, direction: str) -> Iterator[tuple[Frames, Map]]:
         for key, group in block.groups.items():
@@ -94,35 +102,52 @@ class DriveValues:
         holds = enabled & (status & INTERNAL_LIMIT != 0)
         self._held("limit_active", node, axis, group, holds, HELD_NS, "internal limit active (statusword bit 11)")
 
-    def _runs_on(self, group: Frames, known: Map, axis: int, state: Integers) -> None:
+    def _runs_on(self, block: Block, group: Frames, known: Map, axis: int, state: Integers) -> None:
         """Note a drive that is in Operation Enabled some time after its host fell silent."""
-        key = ("runs_on", known.node, axis)
-        for at_ns in self.bus.abandoned_ns:
+        node, subject = known.node, (axis, "PDO")
+        for silence in self.bus.silences:
+            at_ns = silence.due_ns + RUNS_NS
             i = int(group.t_ns.searchsorted(at_ns))
-            if i == len(group) or self._noted.get(key, -1) >= at_ns:
+            if i == len(group) or self._noted.get(("runs_on", node, axis), -1) >= at_ns:
                 continue
-            self._noted[key] = at_ns
-            if state[i] != PowerState.OPERATION_ENABLED:
+            self._noted["runs_on", node, axis] = at_ns
+            enabled = state[i] == PowerState.OPERATION_ENABLED
+            if not enabled or silence.back_ns < at_ns or self._commanded(block, node, at_ns):
                 continue
-            shown = [
-                f"{name} {_signed(group, field)[i]}"
+            shown = {
+                name: int(_signed(group, field)[i])
                 for low, name in MOTION.items()
-                for where_, field in known.find(low)
-                if where_ == axis
-            ]
-            objects = self.bus.nodes[known.node].objects
+                for mapped, field in known.find(low)
+                if mapped == axis
+            }
+            moving = [value for name, value in shown.items() if name != "position"]
+            if moving and not any(moving):
+                continue  # it is at rest
+            objects = self.bus.nodes[node].objects
             unset = [where(*at) for at in WATCHES if not objects.get(at)]
-            text = f"in Operation Enabled {RUNS}" + "".join(f", {value}" for value in shown)
+            text = f"in Operation Enabled {RUNS}" + "".join(f", {name} {value}" for name, value in shown.items())
             text += f"; this log has no write of {', '.join(unset)}" if unset else ""
-            clue = self.clues.begin(*key[:2], int(group.t_ns[i]), text, row=int(group.rows[i]), subject=(axis, "PDO"))
-            clue.axis = axis
-        ended = np.flatnonzero(state != PowerState.OPERATION_ENABLED)
-        if len(ended) and self.clues.stands("runs_on", known.node, (axis, "PDO")):
-            begin = self.bus.abandoned_ns[-1]
-            behind = ended[group.t_ns[ended] > begin]
-            if len(behind):
-                text = "it is not in Operation Enabled any more"
-                self.clues.end("runs_on", known.node, int(group.t_ns[behind[0]]), text, subject=(axis, "PDO"))
+            t_ns, row = int(group.t_ns[i]), int(group.rows[i])
+            self.clues.begin("runs_on", node, t_ns, text, row=row, subject=subject).axis = axis
+        if self.clues.stands("runs_on", node, subject):
+            silence = self.bus.silences[-1]
+            behind = np.flatnonzero((state != PowerState.OPERATION_ENABLED) & (group.t_ns > silence.due_ns + RUNS_NS))
+            ended_ns = int(group.t_ns[behind[0]]) if len(behind) else NEVER
+            if silence.back_ns < ended_ns:
+                self.clues.end("runs_on", node, silence.back_ns, "the host is back", subject=subject)
+            elif len(behind):
+                self.clues.end("runs_on", node, ended_ns, "it is not in Operation Enabled any more", subject=subject)
+
+    def _commanded(self, block: Block, node: int, at_ns: int) -> bool:
+        """Return whether SYNC or set-points of a node still come at a time [ns]."""
+        mapped = {known.can_id for known in self.bus.maps.values() if known.direction == "rpdo" and known.node == node}
+        for key in {SYNC, *mapped, *(base + node for base in RPDOS if base + node not in self.bus.maps)}:
+            last_ns, group = self._last_ns.get(key, -COMMANDED_NS), block.groups.get(key)
+            if group is not None and group.t_ns[0] < at_ns:
+                last_ns = int(group.t_ns[group.t_ns.searchsorted(at_ns) - 1])
+            if at_ns - last_ns < COMMANDED_NS:
+                return True
+        return False
 
     def _torque(self, group: Frames, node: int, axis: int, state: Integers, torque: Integers) -> None:
         shown = (torque ^ 0x8000) - 0x8000

@@ -134,7 +134,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             "A cycle without SYNC is a cycle without measurement.", "CiA 301, 7.2.5", "bus",
         ),
         "sync_jitter": Kind(
-            29, "SYNC jitters", "Its producer does not keep its cycle: its program waits for other work.",
+            41, "SYNC jitters", "Its producer does not keep its cycle: its program waits for other work.",
             ("Look at what else runs on the SYNC producer.", "coulombus doctor: real-time rights, kernel, CPU.",
              "Let an interface with its own clock send SYNC."),
             "Nodes sample and act at uneven times: what is derived from differences is wrong.", "CiA 301, 7.2.5", "bus",

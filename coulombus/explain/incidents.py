@@ -39,6 +39,8 @@ FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost"
 """Kinds with consequences at every node."""
 PROOFS, PROOF_NS = frozenset({"duplicate_node", "second_master"}), 5 * S
 """Kinds that explain an incident though its first sign comes earlier, by this time at most."""
+APART = frozenset({"time_lost", "lss_refused"})
+"""Kinds that neither cause nor follow from others."""
 ABSENCES = frozenset(
     {"node_lost", "host_lost", "sync_lost", "bus_silent", "tpdo_missing", "rpdo_missing", "pdo_stopped"}
 )
@@ -102,6 +104,8 @@ class Incident:
         early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= known + PROOF_NS]
         early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
         root = max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
+        if root.kind == "bus_off":  # what floods the bus drives controllers off
+            root = next((clue for clue in early if clue.kind == "babble" and clue.begin_ns <= root.begin_ns), root)
         if root.kind in ABSENCES:  # what destroys frames silences nodes
             return next((clue for clue in early if clue.kind == "error_frames" and clue.begin_ns <= root.due_ns), root)
         return root
@@ -249,6 +253,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     end = incident.end_ns
     trip = next((c for c in incident.clues if c.kind == "host_trip"), None)
     at = clue.begin_ns
+    if clue.kind in APART or (incident.root.kind in APART and clue.kind != incident.root.kind):
+        return clue.kind == "time_lost" and incident.root.kind in ("host_lost", "sync_lost", "bus_silent")
     if "runs_on" in (clue.kind, incident.root.kind):
         return clue.kind == incident.root.kind and at < incident.begin_ns + AFTER_NS  # a danger is told by itself
     if (

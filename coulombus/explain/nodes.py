@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
-from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order
+from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order, Silence
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import error_check, error_text
 from coulombus.explain.frames import REMOTE, Block
@@ -30,8 +30,6 @@ FLYING_NS, HEEDED_NS = 20_000_000, S
 """Time after a command within which a node's frames may still be from before it; the same for heartbeats."""
 FLIPS = 4
 """Successive heartbeats with another state than the one before that two devices send."""
-RUNS_NS = S // 2
-"""Time after the host is missed within which a drive's own watch ends its motion."""
 NEVER = 1 << 63
 LIFE_ERROR = 0x8130
 """EMCY of a node that misses the heartbeat or guarding of another one."""
@@ -162,7 +160,7 @@ class Nodes:
         """Begin the loss of a node."""
         kind = "host_lost" if self.bus.is_host(node.number, due_ns) else "node_lost"
         if kind == "host_lost":
-            self.bus.abandoned_ns.append(due_ns + RUNS_NS)
+            self.bus.silences.append(Silence(due_ns))
         self._loss[node.number] = self.clues.begin(kind, node.number, t_ns, text, row=row, due_ns=due_ns)
         self._seek(block, node.number)
 
@@ -206,6 +204,8 @@ class Nodes:
         if state == NmtState.INITIALISING:
             self._boot(row, t_ns, node)
             return
+        if node.state == NmtState.INITIALISING and self.bus.ordered(number, node.booted_ns, t_ns) is not None:
+            node.always_operational = False  # it obeys: it is no host
         self._after_reset(row, t_ns, node, state)
         self._interval(row, t_ns, node)
         self._state(row, t_ns, node, state)
@@ -250,9 +250,7 @@ class Nodes:
         """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
         if self.clues.end("host_lost", number, t_ns, "its heartbeats come again"):
-            self.bus.abandoned_ns = [at_ns for at_ns in self.bus.abandoned_ns if at_ns <= t_ns]
-            for other in self.bus.nodes:
-                self.clues.end_all("runs_on", other, t_ns, "the host is back")
+            self.bus.silences[-1].back_ns = t_ns
         for kind in LOST_KINDS:
             self.clues.end(kind, number, t_ns, "its heartbeats come again")
         if node.heartbeat_ns < 0 or number in self._toggles:

@@ -36,6 +36,8 @@ BABBLE_NS, BABBLE, BABBLE_WINDOW = 300_000, 200, 280
 """Interval, and number among so many successive frames of an identifier, that are babble."""
 TWICE_NS, UNKNOWN_NS = MS, 200_000
 """Maximum interval of a frame that came twice; the same while the period of SYNC is unknown."""
+AFTER_NS = 1_000_000_000
+"""Time after a flood within which delayed frames come."""
 PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 NONE = np.zeros(0, np.int64)
 EMPTY = Frames(NONE, NONE, NONE, NONE)
@@ -121,6 +123,8 @@ class PdoTiming:
         self.bus, self.clues = bus, bus.clues
         self._pdos: dict[int, _Pdo] = {}
         self._sync_ns = -1  # the last SYNC
+        self._floods: list[list[int]] = []
+        """Times [ns] in which an identifier floods the bus, and those after it: frames of two cycles come in one."""
 
     def take(self, block: Block) -> None:
         """Process a block."""
@@ -136,6 +140,9 @@ class PdoTiming:
         for key in block.groups:
             if self._is_watched(key):
                 self._pdos.setdefault(key, _Pdo(key))
+        for key, pdo in self._pdos.items():
+            if key in block.groups:
+                self._babble(pdo, block.groups[key])
         for key, pdo in self._pdos.items():
             group = block.groups.get(key, EMPTY)
             if len(group) or len(edges) > 1:
@@ -173,7 +180,6 @@ class PdoTiming:
         gaps = np.diff(stamps)
         equal = (np.diff(words) == 0) & (np.diff(lengths) == 0)
         rows = group.rows[len(group) - len(gaps) :]
-        self._babble(pdo, stamps, rows, gaps)
         is_pdo = pdo.key in PDO_KEYS or pdo.key in self.bus.maps
         if is_pdo and not pdo.babbles:
             self._repeated(pdo, stamps, rows, gaps, equal)
@@ -355,7 +361,7 @@ class PdoTiming:
     ) -> None:
         """Note a second sender: frames with different contents within one SYNC interval."""
         twice = differs[: len(counts)] & (np.diff(edges) < 1.3 * self.bus.sync_period_ns)
-        twice &= _within(edges[:-1], pdo.spans) & (not pdo.babbles)
+        twice &= _within(edges[:-1], pdo.spans) & ~_within(edges[:-1], self._floods)
         empties = pdo.empties.counts(counts == 0)
         often = pdo.differing.counts(twice)
         if twice.any() and pdo.twice_ns < 0:
@@ -471,8 +477,10 @@ class PdoTiming:
 
     # in excess
 
-    def _babble(self, pdo: _Pdo, stamps: Integers, rows: Integers, gaps: Integers) -> None:
+    def _babble(self, pdo: _Pdo, group: Frames) -> None:
         """Note an identifier that floods the bus."""
+        stamps = group.t_ns if pdo.last_ns < 0 else np.concatenate(([pdo.last_ns], group.t_ns))
+        gaps, rows = np.diff(stamps), group.rows
         if not len(gaps):
             return
         flood = np.flatnonzero(pdo.rapid.counts(gaps < BABBLE_NS) >= BABBLE)
@@ -488,6 +496,7 @@ class PdoTiming:
             text, row = f"identifier {pdo.key:03X}h comes {often}", int(rows[flood[0]])
             clue = self.clues.note("babble", node, begin, text, row=row, subject=pdo.key, count=len(flood))
             clue.last_ns = clue.end_ns = int(stamps[flood[-1] + 1])
+            self._floods = [*self._floods[-8:], [int(stamps[flood[0] + 1]), clue.end_ns + AFTER_NS]]
         pdo.recent = recent[-BABBLE:]
 
     def _repeated(self, pdo: _Pdo, stamps: Integers, rows: Integers, gaps: Integers, equal: Flags) -> None:
