@@ -12,7 +12,7 @@ from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import REMOTE, Block, Frames
-from coulombus.explain.incidents import OF_AXES
+from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import Map, identified, maps_of
 

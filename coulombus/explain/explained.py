@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from coulombus.explain.bus import Bus, product
 from coulombus.explain.bus_load import BusLoad
+from coulombus.explain.bus_services import Services
 from coulombus.explain.disturbances import Disturbances
 from coulombus.explain.drive_states import Drives
 from coulombus.explain.drive_values import DriveValues
@@ -27,7 +28,6 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.services import Services
 from coulombus.explain.sync_timing import SyncTiming
 from coulombus.explain.time_axis import TimeAxis
 from coulombus.recording.block_source import captures_of_bus

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from coulombus.explain.clues import Clue
-from coulombus.explain.incident_words import KINDS, WHO
+from coulombus.explain.incident_words import KINDS, OF_AXES, WHO
 
-__all__ = ["OF_AXES", "Incident", "join"]
+__all__ = ["Incident", "join"]
 
 S = 1_000_000_000
 AFTER_NS = S
@@ -70,12 +70,6 @@ GONE = frozenset(
     {"node_lost", "not_hearing", "restarted", "node_missing", "duplicate_node", "left_operational", "ordered_away"}
 )
 """Kinds after which a node does not answer as before."""
-OF_AXES = frozenset(
-    {
-        *("drive_fault", "quick_stop", "left_enabled", "not_following", "error_code"),
-        *("setpoint_ignored", "runs_on", "following_error", "limit_active", "torque_when_off", "mode_refused"),
-    }
-)
 TOLD_BY_NODE = OF_AXES | {"emcy", "left_operational"}
 """Kinds whose cause a node may report by EMCY or 603Fh."""
 REPORTED = frozenset(
