@@ -29,7 +29,7 @@ from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
 from coulombus.explain.sync_timing import SyncTiming
-from coulombus.explain.time_axis import TimeAxis
+from coulombus.explain.straight_times import StraightTimes
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
@@ -144,7 +144,7 @@ class Explainer:
             ),
         )
         self._span = span
-        self._axis = TimeAxis()
+        self._axis = StraightTimes()
         self._epoch_ns: int | None = None
         self._shown: dict[int, tuple[int, int, bytes]] = {}
         self._rows: set[int] = set()
@@ -307,9 +307,6 @@ class Explainer:
             remarks.append(f"this does not look like CANopen: {what}; only the wire is looked at")
         elif extended:
             remarks.append(f"{extended} frames have 29-bit identifiers, which CANopen does not use: left out")
-        if self._axis.back:
-            times = "once" if self._axis.back == 1 else f"{self._axis.back} times"
-            remarks.append(f"the clock of the log was set back {times}: behind it, times go on from there")
         errors = bus.counts.get(ERROR, 0)
         if errors:
             remarks.append(f"{errors} error frames")

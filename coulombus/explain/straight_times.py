@@ -7,21 +7,19 @@ import numpy as np
 from coulombus.explain.frames import Integers
 from coulombus.wire.frame import Records
 
-__all__ = ["TimeAxis"]
+__all__ = ["StraightTimes"]
 
 SET_NS = 1_000_000_000
 """Step by which a clock was set; less is the order in which frames were written."""
 
 
-class TimeAxis:
+class StraightTimes:
     """Makes stamps monotonic: a clock that was set back goes on, and a single frame of another clock is put in its place."""
 
     def __init__(self) -> None:
         self._raw_ns: int | None = None  # the last stamp
         self._last_ns = 0  # the same on this axis
         self._behind_ns = 0  # time by which the clock was set back so far
-        self.back = 0
-        """Stamps that went back by more than `SET_NS`."""
 
     def straight(self, frames: Records) -> Records:
         """Return frames with monotonic stamps; the same array if theirs are."""
@@ -34,7 +32,6 @@ class TimeAxis:
             return frames
         t_ns = _without_strays(raw, before)
         back = np.diff(t_ns, prepend=before) < -SET_NS
-        self.back += int(np.count_nonzero(back))
         set_ns = np.where(back, _before_each(t_ns, before) - t_ns, 0)
         t_ns = t_ns + np.cumsum(set_ns) + self._behind_ns
         self._behind_ns += int(set_ns.sum())
