@@ -224,3 +224,10 @@ def test_candump_rows_of_one_file_may_have_both_forms(tmp_path):
     path = tmp_path / "a.log"
     path.write_text(candump(sent_frames()[:2]) + " (0000000002.000000)  can0  705   [1]  7F\n")
     assert read_log(path).frames["can_id"].tolist()[-1] == 0x705
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_row(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text(TEXTS["gvret.csv"][0](frames_of("gvret.csv")), encoding="utf-8-sig")
+    require_frames(read_log(path), "gvret.csv")
+    assert read_log(path).remarks == ()

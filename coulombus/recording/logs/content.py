@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -112,6 +113,7 @@ class Content:
         """Yield each line without its line end, and whether it has one."""
         text = b""
         while chunk := self.read(CHUNK):
+            chunk = chunk.removeprefix(codecs.BOM_UTF8) if self.given <= CHUNK else chunk
             *whole, text = (text + chunk).split(end)
             for line in whole:
                 yield line.decode("utf-8", "replace"), True

@@ -110,9 +110,10 @@ class LineReader:
             content = bytes.fromhex(data)
         elif separator == "base64":
             content = b64decode(data, validate=True)
+        elif separator == ",":
+            return data_of(data[1:].split(","), count, self._base)
         else:
-            tokens = data[1:].split(",") if separator == "," else data.split()
-            return data_of(tokens, count, self._base)
+            return _spaced(data, count, self._base)
         return None if count not in (None, len(content)) else content
 
     def _is_head(self, text: str, ended: bool) -> bool:
@@ -147,3 +148,15 @@ class LineReader:
 
     def _use(self, lines: tuple[LineForm, ...]) -> None:
         self._lines = [(line.pattern.fullmatch, line.kind, line.is_open) for line in lines]
+
+
+def _spaced(data: str, count: int, base: int) -> bytes | None:
+    """Return data bytes between spaces; None if there are fewer than `count`."""
+    if base == 16:
+        try:
+            content = bytes.fromhex(data)
+        except ValueError:  # text that looks like a byte may stand behind the data
+            pass
+        else:
+            return content[:count] if len(content) >= count else None
+    return data_of(data.split(), count, base)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import re
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ def recognise(start: bytes, suffix: str) -> FormatMatch:
     A last line without its line end, which may be truncated, is no misfit.
     """
     end = b"\r" if b"\r" in start and b"\n" not in start else b"\n"  # serial adapters end lines with the former
-    lines = [line.decode("utf-8", "replace") for line in start.split(end)]
+    lines = [line.decode("utf-8", "replace") for line in start.removeprefix(codecs.BOM_UTF8).split(end)]
     matches = []
     for log_format in FORMATS:
         match = _judge(log_format, lines, end)

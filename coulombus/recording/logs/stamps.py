@@ -23,7 +23,8 @@ __all__ = [
 
 SECOND_NS = 10**9
 DAY_NS = 86_400 * SECOND_NS
-MICROSECONDS = 6  # decimals
+EXACT_CHARACTERS = 20
+POWERS: tuple[int, ...] = tuple(10**digits for digits in range(EXACT_CHARACTERS + 1))
 LATEST_NS = 2**63 - 1
 CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
 EPOCH_DAYS = 25_569
@@ -39,14 +40,15 @@ def stamp_ns(text: str, scale: int = 10**9) -> int:
         It is not a number, or exceeds an INTEGER64 of nanoseconds (the year 2262).
     """
     whole, _, decimals = text.partition(".")
-    if len(decimals) == MICROSECONDS and scale == SECOND_NS and whole.isdigit() and decimals.isdigit():
-        t_us = int(whole + decimals)  # most stamps, in a quarter less time
-        if t_us < LATEST_NS // 1000:
-            return t_us * 1000
+    if decimals.isdigit() and whole.isdigit() and len(text) <= EXACT_CHARACTERS:  # most stamps, in less time
+        unit_ns, rest = divmod(scale, POWERS[len(decimals)])
+        t_ns = int(whole + decimals) * unit_ns
+        if not rest and t_ns < LATEST_NS:
+            return t_ns
     try:
-        t_ns = Decimal(text.replace(",", ".")) * scale
-        if abs(t_ns) < LATEST_NS:  # false for NaN
-            return round(t_ns)
+        exact_ns = Decimal(text.replace(",", ".")) * scale
+        if abs(exact_ns) < LATEST_NS:  # false for NaN
+            return round(exact_ns)
     except ArithmeticError:
         pass
     raise ValueError(f"got the stamp {text}, expected a number before the year 2262")
