@@ -175,6 +175,13 @@ def test_the_refusal_names_the_nearest_format_and_the_first_line(tmp_path):
         read_log(path)
 
 
+def test_lines_that_belong_to_a_format_only_behind_its_frames_are_no_log(tmp_path):
+    path = tmp_path / "Makefile"
+    path.write_text("all:\n\techo 1\n\techo 2\n")
+    with pytest.raises(LogError, match="Makefile:1: 'all:' is no line of a log format"):
+        read_log(path)
+
+
 def test_a_few_malformed_rows_of_a_known_log_are_a_remark(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("(1.0) can0 181#3706\n(1.5) can0 oops\n(2.0) can0 181#3706\n")

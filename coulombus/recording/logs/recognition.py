@@ -68,13 +68,13 @@ def _judge(log_format: Format, lines: list[str], end: bytes) -> FormatMatch:
             outcome = MALFORMED
         if isinstance(outcome, tuple):
             frames += 1
-        elif outcome != MALFORMED:
+        elif outcome == MALFORMED:
+            misfits += ended
+            first = first or number * ended
+        elif outcome is not None:
             others += ended
-        elif ended:
-            misfits += 1
-            first = first or number
     first = first or next((number for number, text in enumerate(lines, 1) if text.strip()), 1)
-    return FormatMatch(log_format, end, frames, others, misfits, first, lines[first - 1].strip())
+    return FormatMatch(log_format, end, frames, others + reader.heads, misfits, first, lines[first - 1].strip())
 
 
 def _rank(match: FormatMatch, suffix: str) -> tuple[int, int, bool, float]:
