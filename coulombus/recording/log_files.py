@@ -17,6 +17,7 @@ from coulombus.recording.logs.formats import FORMATS
 from coulombus.recording.logs.line_reader import LineReader
 from coulombus.recording.logs.log import Log, read_rows
 from coulombus.recording.logs.recognition import FormatMatch, recognise, refusal
+from coulombus.recording.pcapng_blocks import other_format
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
@@ -143,7 +144,8 @@ def _kind(path: str | Path) -> FormatMatch | str | None:
         return match
     if suffix in BINARY.values():
         return suffix
-    return None if suffix == ".pcapng" or b"\0" in start else match
+    is_other = suffix == ".pcapng" or b"\0" in start or other_format(start, str(path)) is not None
+    return None if is_other else match
 
 
 def _suffix(path: str | Path) -> str:
