@@ -71,6 +71,8 @@ ACCESS = {
     "const": "const",
 }
 """Access types of a parameter."""
+DEFAULT_ACCESS = "read"
+"""Of a parameter without `access`, by the schema of CiA 311."""
 IEC_TYPES: Mapping[str, int] = {
     "BOOL": 0x01,
     "SINT": 0x02,
@@ -299,6 +301,9 @@ class XddReader(SectionReader):
                     self.put(section, key, spelled, text, at)
                 elif key in VALUES and source is parameter:
                     self.enter_again(section, key.lower(), spelled, text, at)
+        if not structured and not section.get("accesstype"):
+            section.entries.pop("accesstype", None)
+            self.put(section, "AccessType", "access", ACCESS[DEFAULT_ACCESS], parameter.line)
 
     def direct(self, section: Section) -> None:
         """Translate PDOmapping; CiA 306 states the direction in the access type."""

@@ -25,7 +25,7 @@ __all__ = ["decode"]
 def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tuple[str, ...], as_json: bool) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
-    Takes pcapng and other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4. Without a rig,
+    Takes pcapng and other tools' logs (docs/recording.md lists their formats). Without a rig,
     attached or given, nodes are numbers, and PDOs have their objects as far as the log's SDO
     configuration, an EDS file or CiA 402 tells their maps.
 

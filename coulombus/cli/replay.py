@@ -174,7 +174,7 @@ def replay(
     """Play a recording onto a bus, or check the host (--host) or the bus model (--virtual) against
     it.
 
-    Plays pcapng and other tools' logs: candump's .log, .asc, .blf, .trc, .csv, .mf4; of a file
+    Plays pcapng and other tools' logs (docs/recording.md lists their formats); of a file
     with several buses the one that --channel names. A torn file plays to its last whole block. With --host and --virtual it ends with 1 when an
     output differs, and shows the first difference.
 

@@ -28,8 +28,8 @@ from coulombus.explain.nodes import STATES
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.sync_timing import SyncTiming
 from coulombus.explain.straight_times import StraightTimes
+from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture

@@ -30,7 +30,6 @@ from coulombus.wire.handshake import Flags, Hello
 __all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
 
 Integers = npt.NDArray[np.int64]
-FLAGS = CAN_ERR_FLAG | CAN_RTR_FLAG
 WAIT_S = 0.1
 MOST_WAITING = 4096
 """Frames of a live bus that wait to be counted."""
@@ -70,11 +69,13 @@ class Spread:
 class Timing:
     """One identifier: frames, mean rate, median period [ms], jitter, and delay after the last SYNC.
 
-    Rate, period and jitter are None for a single frame; only the rig's PDOs have a delay.
+    Rate, period and jitter are None for a single frame; only the rig's PDOs have a delay. Remote frames
+    are counted apart from the data frames of their identifier (`remote`).
     """
 
     can_id: int
     name: str
+    remote: bool
     frames: int
     rate_per_s: float | None
     period_ms: float | None
@@ -125,7 +126,7 @@ class Stamps:
         syncs = np.concatenate((self._sync_ns, t_ns[can_ids == CobId.SYNC]))
         self._sync_ns = syncs[-1:]
         for can_id in np.unique(can_ids).tolist():
-            if not can_id & FLAGS:
+            if not can_id & CAN_ERR_FLAG:
                 times = t_ns[can_ids == can_id]
                 line = self._of.setdefault(can_id, _Line(int(times[0]), int(times[0])))
                 line.gaps.add(np.diff(times, prepend=line.last_ns)[0 if line.frames else 1 :])
@@ -191,19 +192,20 @@ def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
     pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in (() if rig is None else rig.pdos())}
     nodes = {} if rig is None else {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
     timings = []
-    for can_id, line in sorted(stamps.of.items()):
+    for can_id, line in sorted(stamps.of.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
         period = line.gaps.median() if len(line.gaps) else None
         span_s = (line.last_ns - line.first_ns) / 1e9
         timings.append(
             Timing(
-                can_id=can_id & ~CAN_EFF_FLAG,
+                can_id=can_id & ~(CAN_EFF_FLAG | CAN_RTR_FLAG),
                 name=pdos.get(can_id) or _name(can_id, nodes),
+                remote=bool(can_id & CAN_RTR_FLAG),
                 frames=line.frames,
                 rate_per_s=float(len(line.gaps) / span_s) if span_s > 0 else None,
                 period_ms=None if period is None else period / 1e6,
                 jitter=None if period is None else Spread.of(line.gaps.distances(period)),
                 from_sync=Spread.of(line.delays)
-                if can_id in pdos or (rig is None and can_id & FUNCTION in PDOS)
+                if can_id in pdos or (rig is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDOS)
                 else None,
             )
         )
@@ -211,6 +213,9 @@ def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
 
 
 def _name(can_id: int, nodes: dict[int, str]) -> str:
+    if can_id & CAN_RTR_FLAG:
+        name = _name(can_id & ~CAN_RTR_FLAG, nodes)
+        return name.replace("heartbeat", "guarding") if name.endswith("heartbeat") else f"{name} RTR"
     if can_id & CAN_EFF_FLAG:
         return "extended"
     if can_id in NAMES and not (can_id & 0x7F and can_id < CobId.LSS_TX):
@@ -239,6 +244,7 @@ def as_dict(row: Timing) -> dict[str, object]:
     return {
         "can_id": row.can_id,
         "name": row.name,
+        "remote": row.remote,
         "frames": row.frames,
         "rate_per_s": row.rate_per_s,
         "period_ms": row.period_ms,

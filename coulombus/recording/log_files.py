@@ -1,35 +1,32 @@
-"""Logs of other tools: detect the format and read the frames.
+"""Logs of other tools: recognise the format and read the frames.
 
-The format follows from the content, else from the file's name. candump's, .asc, .trc, .csv and .blf
-are read here (`recording.logs`), .mf4 with asammdf, other formats by python-can's registry, which
-includes plug-ins. Each may be compressed with gzip or zstd.
+The content decides, not the file's name. Text formats are rows of `recording.logs.formats.FORMATS`,
+.blf is read by `recording.logs.blf`, .mf4 with asammdf, .db by python-can. Each may be compressed
+with gzip or zstd.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording.logs import blf, mf4, python_can
-from coulombus.recording.logs.asc import AscRows
-from coulombus.recording.logs.can_csv import HEAD, CsvRows
-from coulombus.recording.logs.candump import CandumpRows
+from coulombus.recording.logs import blf, mf4, python_can, time_axis
 from coulombus.recording.logs.content import Content
-from coulombus.recording.logs.log import MALFORMED, LineFormat, Log, read_rows
-from coulombus.recording.logs.trc import TrcRows
+from coulombus.recording.logs.formats import FORMATS
+from coulombus.recording.logs.line_reader import LineReader
+from coulombus.recording.logs.log import Log, read_rows
+from coulombus.recording.logs.recognition import FormatMatch, recognise, refusal
+from coulombus.recording.pcapng_blocks import other_format
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 __all__ = ["EXPECTED", "WALL_CLOCK_NS", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 
-TEXTS: dict[str, Callable[[], LineFormat]] = {".log": CandumpRows, ".asc": AscRows, ".trc": TrcRows, ".csv": CsvRows}
-"""Line-based formats by file suffix."""
-LOGS = (*TEXTS, ".blf", ".mf4", ".db")
-EXPECTED = "a pcapng file, or another tool's log: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db"
-SNIFFED, SNIFFED_LINES = 1 << 13, 40
-ASC_HEADS = ("date ", "base hex", "base dec")
+EXPECTED = f"a pcapng file, or another tool's log: {', '.join(row.name for row in FORMATS)}, .blf, .mf4, .db"
+BINARY = {blf.MAGIC: ".blf", **dict.fromkeys(mf4.MAGICS, ".mf4"), b"SQLite format 3\0": ".db"}
+"""First bytes -> format."""
+SNIFFED = 1 << 14
 WALL_CLOCK_NS = 10**17
 """Stamps beyond this (1973) are wall-clock times; smaller ones count from the run's start."""
 
@@ -59,8 +56,8 @@ def is_pcapng(path: str | Path) -> bool:
 
 
 def is_log(path: str | Path) -> bool:
-    """Return whether a file is for `read_log`, by its content or else its name, and not pcapng."""
-    return not Path(path).is_dir() and not is_pcapng(path) and bool(_kind(path))
+    """Return whether a file is for `read_log`, which may refuse it: by its content, or as a text; and not pcapng."""
+    return not Path(path).is_dir() and not is_pcapng(path) and _kind(path) is not None
 
 
 def read_log(path: str | Path) -> LogContent:
@@ -77,34 +74,46 @@ def read_log(path: str | Path) -> LogContent:
         raise LogError(f"{path}: the file is empty: nothing was recorded; take another file")
     kind = _kind(path)
     try:
-        log, broken = _read(path, kind)
+        if isinstance(kind, FormatMatch):
+            return _read_text(path, kind)
+        log, broken = _read_binary(path, kind)
     except (ValueError, ImportError, NotImplementedError) as error:
         raise LogError(f"{path}: it cannot be read: {error}; expected {EXPECTED}") from error
-    if not log.rows and set(log.losses) == {MALFORMED}:
-        raise LogError(f"{path}: it has no frame: does its suffix match its content? Expected {EXPECTED}")
-    remarks = log.all_remarks(str(path))
-    if broken:
-        remarks.append(f"{path}: {broken}: what stood behind is not known")
-    return LogContent(log.frames(), tuple(log.buses), tuple(remarks))
+    return _content(path, log, broken)
 
 
-def _read(path: str | Path, kind: str) -> tuple[Log, str]:
-    if kind == ".mf4" and not _packed(path):
-        return mf4.read(path), ""
-    if kind in TEXTS or kind == ".blf":
-        with Content(path) as content:
-            if kind == ".blf":
-                log = blf.read(content)
-            else:
-                rows = TEXTS[kind]()
-                log = read_rows(content, rows)
-                if isinstance(rows, CandumpRows) and rows.without_time:
-                    log.remarks.append(
-                        f"{rows.without_time} frames have no time stamp and got the time 0: log with candump -L"
-                    )
+def _read_text(path: str | Path, match: FormatMatch) -> LogContent:
+    if not match.fits and (match.misfits or match.format.suffix != _suffix(path)):
+        raise LogError(f"{refusal(str(path), match)}; expected {EXPECTED}")
+    rows = LineReader(match.format)
+    log, broken = _read_lines(path, rows, match.end)
+    if rows.may_differ and time_axis.are_differences(log.frames()["t_ns"]):
+        rows = LineReader(match.format)
+        rows.relative = True
+        log, broken = _read_lines(path, rows, match.end)
+        log.remarks.append(time_axis.DIFFERENCES)
+    if rows.without_time:
+        log.remarks.append(
+            f"{rows.without_time} frames have no time stamp and got the time 0: log with time stamps (candump -L)"
+        )
+    return _content(path, log, broken, is_timed=not rows.without_time)
+
+
+def _read_lines(path: str | Path, rows: LineReader, end: bytes) -> tuple[Log, str]:
+    with Content(path) as content:
+        return read_rows(content.lines(end), rows), content.broken
+
+
+def _read_binary(path: str | Path, kind: str | None) -> tuple[Log, str]:
+    with Content(path) as content:
+        if kind == ".blf":
+            log = blf.read(content)
             return log, content.broken
+        packed = bool(content.packing)
+    if kind == ".mf4" and not packed:
+        return mf4.read(path), ""
     log = Log()
-    error = python_can.take(path, log)
+    error = python_can.take(path, log, "" if packed else kind or "")
     if error and not log.rows:
         raise ValueError(error)
     if error:
@@ -112,40 +121,32 @@ def _read(path: str | Path, kind: str) -> tuple[Log, str]:
     return log, ""
 
 
-def _packed(path: str | Path) -> bool:
-    with Content(path) as content:
-        return bool(content.packing)
+def _content(path: str | Path, log: Log, broken: str, is_timed: bool = True) -> LogContent:
+    frames = log.frames()
+    if is_timed:
+        log.remarks += time_axis.remarks(frames["t_ns"])
+    remarks = log.all_remarks(str(path))
+    if broken:
+        remarks.append(f"{path}: {broken}: what stood behind is not known")
+    return LogContent(frames, tuple(log.buses), tuple(remarks))
 
 
-def _kind(path: str | Path) -> str:
-    """Return a format by its suffix; "" for an unknown file."""
+def _kind(path: str | Path) -> FormatMatch | str | None:
+    """Return how well a text fits its format, the ending of a binary format, or None for an unknown file."""
     with Content(path) as content:
         start = content.read(SNIFFED)
-    if start.startswith(blf.MAGIC):
-        return ".blf"
-    if start.startswith(mf4.MAGICS):
-        return ".mf4"
-    lines = start.decode("utf-8", "replace").splitlines()[:SNIFFED_LINES]
-    for kind, is_of in MARKS.items():
-        if any(is_of(line) for line in lines):
-            return kind
-    name = Path(path).name.lower().removesuffix(".gz").removesuffix(".zst")
-    return next((ending for ending in LOGS if name.endswith(ending)), "")
+    binary = next((kind for magic, kind in BINARY.items() if start.startswith(magic)), None)
+    if binary:
+        return binary
+    suffix = _suffix(path)
+    match = recognise(start, suffix)
+    if match.fits:
+        return match
+    if suffix in BINARY.values():
+        return suffix
+    is_other = suffix == ".pcapng" or b"\0" in start or other_format(start, str(path)) is not None
+    return None if is_other else match
 
 
-def _is_frame_of_candump(line: str) -> bool:
-    try:
-        return isinstance(CandumpRows().row(line, ended=True), tuple)
-    except ValueError:
-        return False
-
-
-MARKS: dict[str, Callable[[str], bool]] = {
-    ".trc": lambda line: line.startswith(
-        (";$FILEVERSION", ";   Generated by PCAN", ";    Generated by python-can TRC")
-    ),
-    ".asc": lambda line: line.lower().startswith(ASC_HEADS),
-    ".csv": lambda line: line == HEAD,
-    ".log": _is_frame_of_candump,
-}
-"""Line-based formats -> whether one of the first lines has the format."""
+def _suffix(path: str | Path) -> str:
+    return Path(Path(path).name.lower().removesuffix(".gz").removesuffix(".zst")).suffix

@@ -71,8 +71,8 @@ def test_mistakes(arguments, status, texts):
         ("node missing.eds --node-id 1 --bus coulombus:nobody", 3, "missing.eds"),
         ("watch --bus coulombus:nobody", 4, "no bus coulombus:nobody"),
         ("bridge coulombus:nobody coulombus:none", 4, "no bus coulombus:nobody"),
-        ("decode pyproject.toml", 2, "not a pcapng file"),
-        ("replay --host pyproject.toml", 2, "not a pcapng file"),
+        ("decode pyproject.toml", 2, "is no line of a log format that is known"),
+        ("replay --host pyproject.toml", 2, "is no line of a log format that is known"),
         ("replay pyproject.toml", 2, "give one of"),
         ("check --rig bnch", 3, "did you mean 'bench'"),
         ("plan --rig bnch", 3, "did you mean 'bench'"),
@@ -80,7 +80,7 @@ def test_mistakes(arguments, status, texts):
         ("eds check", 2, "FILE"),
         ("conformance --bus coulombus:nobody --node 1 --eds eds/motor.eds", 4, "no bus coulombus:nobody"),
         ("analyse --rig bnch", 3, "did you mean 'bench'"),
-        ("identify pyproject.toml", 2, "not a pcapng file"),
+        ("identify pyproject.toml", 2, "is no line of a log format that is known"),
     ],
 )
 def test_with_json_the_reason_is_on_stdout_when_there_is_no_result(tmp_path, arguments, status, text):

@@ -502,3 +502,24 @@ def test_a_domain_has_no_value_and_no_parameter():
     description = read(container(element))
     assert description.objects[0x2000].object_type == DOMAIN
     assert description.diagnoses == ()
+
+
+@pytest.mark.parametrize(
+    ("access", "template", "expected"),
+    [("", "", "ro"), ('access="readWrite"', "", "rw"), ("", 'access="write"', "wo"), ('access="const"', "", "const")],
+)
+def test_a_parameter_without_access_is_read_only(access, template, expected):
+    """CiA 311's schema: the attribute has the default "read"."""
+    parameters = (
+        f'<parameterTemplate uniqueID="T" {template}><INT/></parameterTemplate>'
+        f'<parameter uniqueID="P" templateIDRef="T" {access}><INT/></parameter>'
+    )
+    text = container('<CANopenObject index="2000" name="X" objectType="7" uniqueIDRef="P"/>', parameters=parameters)
+    description = read(text)
+    assert description.variable(0x2000, 0).access == expected
+    assert texts(description) == []
+
+
+def test_the_access_of_the_object_counts_before_the_default_of_its_parameter():
+    row = '<CANopenObject index="2000" name="X" objectType="7" accessType="rw" uniqueIDRef="P"/>'
+    assert only(row, parameters='<parameter uniqueID="P"><INT/></parameter>').access == "rw"

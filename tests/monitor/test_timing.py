@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.monitor.pdo_text import as_lines as pdo_lines
-from coulombus.monitor.timing import Spread, Stamps, Timing, as_lines, listen, timing
+from coulombus.monitor.timing import Spread, Stamps, Timing, as_lines, listen, recorded_bare, timing
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
 from coulombus.system.stop_signals import StopSignals
@@ -72,8 +72,8 @@ def test_names_of_services():
     ],
 )
 def test_a_column_has_one_unit(largest_us, head, cells):
-    rows = [Timing(0x181, "a", 9, 1.0, 1.0, Spread(5.6, 999.9, largest_us), Spread(1.0, 2.0, 9900.0))]
-    rows.append(Timing(0x182, "b", 1, None, None, None, None))
+    rows = [Timing(0x181, "a", False, 9, 1.0, 1.0, Spread(5.6, 999.9, largest_us), Spread(1.0, 2.0, 9900.0))]
+    rows.append(Timing(0x182, "b", False, 1, None, None, None, None))
     first, _, line, other = as_lines(rows)
     assert head in first
     assert "from SYNC [us]" in first
@@ -134,3 +134,18 @@ def test_listening_to_a_bus(private_sockets, monkeypatch):
         stamps, lost = listen(parse_address("coulombus:t"), 0.05)
     assert {can_id: line.frames for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
     assert lost == 3
+
+
+def test_remote_frames_are_counted_beside_the_data_frames(tmp_path):
+    path = tmp_path / "guarding.log"
+    rows = [
+        f"({1 + k / 10:.6f}) can0 705#R1\n" + (f"({1.001 + k / 10:.6f}) can0 705#05\n" if k < 4 else "")
+        for k in range(9)
+    ]
+    path.write_text("".join(rows) + "(2.5) can0 181#R8\n")
+    counted = {(row.can_id, row.remote): (row.name, row.frames) for row in timing(None, recorded_bare(path, None, []))}
+    assert counted == {
+        (0x181, True): ("1 TPDO1 RTR", 1),
+        (0x705, False): ("5 heartbeat", 4),
+        (0x705, True): ("5 guarding", 9),
+    }

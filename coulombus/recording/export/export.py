@@ -204,9 +204,12 @@ def _frames(
             if not len(capture.frames):
                 continue
             first = first if count else int(capture.frames["t_ns"][0])
-            writer.add(capture.frames, capture.buses)
+            try:
+                writer.add(capture.frames, capture.buses)
+            except ExportError as error:
+                raise ExportError(f"{path}: {error}") from error
             count += len(capture.frames)
-            until = (int(capture.frames["t_ns"][-1]) - first) / 1e9
+            until = max(until, (int(capture.frames["t_ns"].max()) - first) / 1e9)
             progress(until)
     remarks = remarks_on(str(path), [*warnings, *match.remarks()], Counter({"torn": torn, "skipped": skipped}))
     return Exported(out, kind, until, count, (), remarks)

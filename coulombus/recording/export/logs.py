@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from coulombus.recording.export.errors import ExportError
 from coulombus.recording.log_files import WALL_CLOCK_NS
 from coulombus.recording.sample_groups import Array, Integers
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records
@@ -72,6 +73,23 @@ def _byte(frames: Records, k: int) -> Integers:
     return byte
 
 
+def _require_not_before(t_ns: Integers, begin_ns: int, begin: str) -> None:
+    """Refuse stamps before the one from which a format counts.
+
+    Raises
+    ------
+    ExportError
+        A stamp is earlier.
+    """
+    early = np.flatnonzero(t_ns < begin_ns)
+    if len(early):
+        away_s = (begin_ns - int(t_ns[early[0]])) / 1e9
+        raise ExportError(
+            f"{len(early)} frames have stamps before {begin}, from which this format counts; the first of them is "
+            f"{away_s:g} s early: split the recording where its stamps go back, or export with --to candump"
+        )
+
+
 def _interfaces(buses: Sequence[str]) -> list[str]:
     """Return the name of each bus for candump's log: ``can0`` for the address ``socketcan:can0``
     and for an unnamed bus, ``can1`` for a numeric channel.
@@ -105,6 +123,7 @@ class CandumpWriter:
         """Write frames; `buses` are the names of their `source`."""
         can_id, length = frames["can_id"], frames["length"]
         error, remote = can_id & CAN_ERR_FLAG != 0, can_id & CAN_RTR_FLAG != 0
+        _require_not_before(frames["t_ns"] + self._start_ns, 0, "1970")
         long = (can_id & CAN_EFF_FLAG != 0) | error
         t_us = (frames["t_ns"] + self._start_ns) // 1000
         lines = _Lines(len(frames))
@@ -126,6 +145,10 @@ class CandumpWriter:
             lines.hexadecimal(_byte(frames, k), 2, ~remote & (k < length))
         lines.text("\n")
         self._file.write(lines.bytes())
+
+    def abandon(self) -> None:
+        """Close the file after an error."""
+        self._file.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -149,7 +172,8 @@ class AscWriter:
             self._file.write(f"{head}Begin Triggerblock {date}\n   0.000000 Start of measurement\n".encode())
         can_id, length = frames["can_id"], frames["length"]
         error, remote = can_id & CAN_ERR_FLAG != 0, can_id & CAN_RTR_FLAG != 0
-        t_us = np.maximum(frames["t_ns"] - self._first_ns, 0) // 1000
+        _require_not_before(frames["t_ns"], self._first_ns, "the first frame")
+        t_us = (frames["t_ns"] - self._first_ns) // 1000
         extended = can_id & CAN_EFF_FLAG != 0
         lines = _Lines(len(frames))
         lines.text("   ")
@@ -173,6 +197,10 @@ class AscWriter:
             lines.hexadecimal(_byte(frames, k), 2, there)
         lines.text("\n")
         self._file.write(lines.bytes())
+
+    def abandon(self) -> None:
+        """Close the file after an error."""
+        self._file.close()
 
     def close(self) -> None:
         """Write the file's end."""
@@ -225,7 +253,8 @@ class BlfWriter:
         made["signature"], made["header"], made["version"] = b"LOBJ", 32, 1
         made["size"], made["kind"] = made.itemsize, CAN_ERROR_EXT if error else CAN_MESSAGE
         made["unit"] = NANOSECONDS
-        made["t_ns"] = np.maximum(frames["t_ns"] + self._start_ns - first_ns, 0)
+        _require_not_before(frames["t_ns"] + self._start_ns, first_ns, "the file's start")
+        made["t_ns"] = frames["t_ns"] + self._start_ns - first_ns
         made["channel"], made["dlc"], made["data"] = frames["source"], frames["length"], frames["word"]
         can_id = frames["can_id"]
         made["can_id"] = (can_id & EXTENDED) | np.where(can_id & CAN_EFF_FLAG, EXTENDED_BLF, 0)
@@ -239,6 +268,10 @@ class BlfWriter:
         head = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, LOG_CONTAINER)
         self._file.write(head + struct.pack("<H6xL4x", ZLIB, len(content)) + packed + bytes(size % 4))
         self._bytes += 32 + len(content)
+
+    def abandon(self) -> None:
+        """Close the file after an error."""
+        self._file.close()
 
     def close(self) -> None:
         """Write the header, which contains the file's length."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -108,11 +109,12 @@ class Content:
             count += len(chunk)
         return count
 
-    def lines(self) -> Iterator[tuple[str, bool]]:
+    def lines(self, end: bytes = b"\n") -> Iterator[tuple[str, bool]]:
         """Yield each line without its line end, and whether it has one."""
         text = b""
         while chunk := self.read(CHUNK):
-            *whole, text = (text + chunk).split(b"\n")
+            chunk = chunk.removeprefix(codecs.BOM_UTF8) if self.given <= CHUNK else chunk
+            *whole, text = (text + chunk).split(end)
             for line in whole:
                 yield line.decode("utf-8", "replace"), True
             while len(text) > LONGEST_LINE:

@@ -5,11 +5,11 @@ Frames and omitted rows add up to all rows of the file.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from decimal import Decimal
 from typing import Protocol, TypeAlias
 
-from coulombus.recording.logs.content import Content
+from coulombus.recording.logs.stamps import LATEST_NS
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
 from coulombus.wire.data_word import data_word
 from coulombus.wire.frame import Frame, Records, new_records
@@ -21,14 +21,12 @@ __all__ = [
     "FD",
     "MALFORMED",
     "SHORT",
-    "LineFormat",
     "Log",
     "Row",
-    "clock_us",
+    "RowReader",
     "data_of",
     "identifier",
     "read_rows",
-    "stamp_ns",
 ]
 
 Row: TypeAlias = tuple[int, int, int, bytes, str]
@@ -43,8 +41,6 @@ FD = "a CAN FD frame"
 BUS_ERROR = CAN_ERR_FLAG | 0x080
 """Identifier of an error frame without details."""
 LONGEST_DATA, STANDARD, EXTENDED = 8, 0x7FF, 0x1FFF_FFFF
-LATEST_NS = 2**63 - 1
-CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
 
 
 @dataclass
@@ -96,8 +92,8 @@ class Log:
         return [*texts, *(f"{path}: {text}" for text in self.remarks)]
 
 
-class LineFormat(Protocol):
-    """A format's lines."""
+class RowReader(Protocol):
+    """Reads the lines of a format."""
 
     def row(self, text: str, ended: bool) -> Row | str | None:
         """Return the frame of a line, the reason for its omission, or None if the line is not a row.
@@ -111,10 +107,10 @@ class LineFormat(Protocol):
         """
 
 
-def read_rows(content: Content, rows: LineFormat) -> Log:
-    """Read a log line by line."""
+def read_rows(lines: Iterable[tuple[str, bool]], rows: RowReader) -> Log:
+    """Read a log line by line; each line comes with whether it has its line end."""
     log = Log()
-    for number, (text, ended) in enumerate(content.lines(), 1):
+    for number, (text, ended) in enumerate(lines, 1):
         if not text.strip():
             continue
         try:
@@ -127,30 +123,6 @@ def read_rows(content: Content, rows: LineFormat) -> Log:
         if outcome is not None:
             log.lose(outcome if ended else CUT, number)
     return log
-
-
-def stamp_ns(text: str, scale: int = 10**9) -> int:
-    """Return a time in units of `scale` ns, as text with a point or a comma, in ns.
-
-    Raises
-    ------
-    ValueError
-        It is not a number, or exceeds an INTEGER64 of nanoseconds (the year 2262).
-    """
-    try:
-        t_ns = Decimal(text.replace(",", ".")) * scale
-        if abs(t_ns) < LATEST_NS:  # false for NaN
-            return round(t_ns)
-    except ArithmeticError:
-        pass
-    raise ValueError(f"got the stamp {text}, expected a number before the year 2262")
-
-
-def clock_us(t_ns: int) -> int:
-    """Return a stamp that a tool stored as a float of seconds: wall-clock times in whole
-    microseconds, the precision of such a float.
-    """
-    return (t_ns + 500) // 1000 * 1000 if t_ns >= CLOCK_NS else t_ns
 
 
 def identifier(value: int, extended: bool) -> int:
