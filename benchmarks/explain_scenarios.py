@@ -222,7 +222,7 @@ def full_bus(machine: Machine, node: int) -> Truth:
     """A station sends so much, with a priority below all PDOs, that nearly nothing is left."""
     other = machine.network.station(())
     load = len(machine.ids) * 2 * 115_000 / machine.period_ns + 0.06
-    every_ns = round(128_000 / max(1.03 - load, 0.2))
+    every_ns = round(128_000 / max(1.12 - load, 0.2))
     for _ in range(700 * MS // machine.period_ns):
         for k in range(machine.period_ns // every_ns):
             other.send(0x6E0 + k % 8, bytes(8), at_ns=machine.network.t_ns + k * every_ns)

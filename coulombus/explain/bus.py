@@ -85,6 +85,8 @@ class Bus:
         self.nodes: dict[int, SeenNode] = {}
         self.contradicted: set[int] = set()
         """Nodes whose PDOs contradict the assumed maps."""
+        self.configured: set[int] = set()
+        """Nodes whose maps were seen at any time: after a boot-up they are unknown, and not the usual ones."""
         self.first_of: dict[int, int] = {}
         """Time [ns] of the first frame of each key."""
         self.orders: list[Order] = []
@@ -247,7 +249,7 @@ class Bus:
             self.maps = {
                 key: known
                 for key, known in maps.items()
-                if known.source != "assumed" or known.node not in self.contradicted
+                if known.source != "assumed" or known.node not in self.contradicted | self.configured
             }
 
     def doubt(self, block: Block) -> None:

@@ -241,6 +241,8 @@ class SdoTransfers:
         if 0x6000 <= at[0] < 0xA000 or at[0] == 0x603F:
             self.bus.words.append((row, t_ns, number, at[0], value))
             self._mode(row, t_ns, number, server, at, value, request.writes)
+        if 0x1600 <= at[0] < 0x1800 or 0x1A00 <= at[0] < 0x1C00:
+            self.bus.configured.add(number)
         if node.objects.get(at) != value:
             node.objects[at] = value
             self.bus.stale |= any(at[0] in some for some in MAPPING)

@@ -49,8 +49,8 @@ def _before_each(t_ns: Integers, before: int) -> Integers:
 
 
 def _without_strays(t_ns: Integers, before: int) -> Integers:
-    """Return stamps of which each that lies alone ahead has that of the frame before."""
+    """Return stamps of which each that lies alone far from those around it has that of the frame before."""
     earlier = _before_each(t_ns, before)
     later = np.append(t_ns[1:], t_ns[-1])
-    stray = (t_ns - earlier > SET_NS) & (np.abs(later - earlier) <= SET_NS)
+    stray = (np.abs(t_ns - earlier) > SET_NS) & (np.abs(later - earlier) <= SET_NS)
     return np.where(stray, earlier, t_ns)
