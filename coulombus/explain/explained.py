@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -42,6 +42,8 @@ from coulombus.wire.frame import Records, data_bytes
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
 PDO_KEYS = range(0x180, 0x580)
+OMITTED = "left out"
+"""Part of the remark of a reader on rows that it could not read."""
 VERDICTS = ("unresolved", "recovered", "warning")
 
 
@@ -84,6 +86,8 @@ class Explanation:
     shown: dict[int, tuple[int, int, bytes]]
     """Time [ns], identifier and data of the frames that incidents name, by number."""
     bus: Bus
+    whole: bool = True
+    """Whether every row of the file was read."""
     identifiers: tuple[IdentifierRow, ...] = ()
     """Identifiers of a log that is not CANopen, the most frequent first."""
 
@@ -185,8 +189,8 @@ class Explainer:
                 self._host.mark(t_ns, text, self.bus.frames - 1)
         self.look()
 
-    def explanation(self, remarks: Iterable[str] = ()) -> Explanation:
-        """Return the explanation so far."""
+    def explanation(self, remarks: Sequence[str] = ()) -> Explanation:
+        """Return the explanation so far; `remarks`: those of the log's reader."""
         clues = [*self.bus.clues.all, *self._rare.sdo.missing()]
         if not self._is_canopen:
             clues = [clue for clue in clues if KINDS[clue.kind].group == "bus"]
@@ -201,6 +205,7 @@ class Explainer:
             end_ns=self.bus.last_ns,
             frames=self.bus.frames,
             remarks=(*remarks, *self._remarks()),
+            whole=not any(OMITTED in remark for remark in remarks),
             shown=dict(self._shown),
             bus=self.bus,
             identifiers=() if self._is_canopen else self._identifiers.rows(),

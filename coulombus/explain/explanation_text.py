@@ -19,8 +19,14 @@ VERDICT_TEXT = {
     "recovered": "recovered: something went wrong, and it is over",
     "unresolved": "unresolved: something went wrong, and it still is at the end of the log",
 }
+REST = "; some rows were not read: this is of the rest"
 SHOWN_EVENTS = 40
 SHOWN_IDENTIFIERS = 24
+
+
+def verdict(explanation: Explanation) -> str:
+    """Return the verdict in a line."""
+    return VERDICT_TEXT[explanation.verdict] + ("" if explanation.whole else REST)
 
 
 def title(explanation: Explanation, incident: Incident) -> str:
@@ -145,7 +151,7 @@ def _frames(explanation: Explanation, incident: Incident) -> list[tuple[int, tup
 
 def screen(explanation: Explanation, source: str) -> Iterator[str]:
     """Yield the lines of the overview; `source` is the file or bus for the suggested command."""
-    yield VERDICT_TEXT[explanation.verdict]
+    yield verdict(explanation)
     length = explanation.at_s(explanation.end_ns) or 0.0
     yield f"{explanation.frames} frames until {length:.3f} s"
     yield from (f"note: {remark}" for remark in explanation.remarks)
@@ -277,7 +283,7 @@ def _capital(text: str) -> str:
 
 def markdown(explanation: Explanation, source: str) -> str:
     """Return a report in Markdown."""
-    lines = [f"# {_plain(source)}", "", f"**{VERDICT_TEXT[explanation.verdict]}**", ""]
+    lines = [f"# {_plain(source)}", "", f"**{verdict(explanation)}**", ""]
     lines += [f"{explanation.frames} frames until {explanation.at_s(explanation.end_ns) or 0.0:.3f} s", ""]
     lines += [f"- {_plain(remark)}" for remark in explanation.remarks]
     for incident in explanation.incidents:
@@ -314,7 +320,7 @@ def html_page(explanation: Explanation, source: str) -> str:
     def safe(text: str) -> str:
         return html.escape("".join(c for c in text if c.isprintable()))
 
-    parts = [f"<h1>{safe(source)}</h1><p><strong>{safe(VERDICT_TEXT[explanation.verdict])}</strong></p>"]
+    parts = [f"<h1>{safe(source)}</h1><p><strong>{safe(verdict(explanation))}</strong></p>"]
     parts.append(f"<p>{explanation.frames} frames until {explanation.at_s(explanation.end_ns) or 0.0:.3f} s</p>")
     parts += [f"<p>{safe(remark)}</p>" for remark in explanation.remarks]
     for incident in explanation.incidents:

@@ -163,7 +163,7 @@ class PdoTiming:
         """Note an identifier that floods the bus."""
         stamps = group.t_ns if pdo.last_ns < 0 else np.concatenate(([pdo.last_ns], group.t_ns))
         gaps, rows = np.diff(stamps), group.rows
-        if not len(gaps):
+        if not len(gaps) or self.bus.last_ns == self.bus.first_ns:  # a log without times
             return
         flood = np.flatnonzero(pdo.rapid.counts(gaps < BABBLE_NS) >= BABBLE)
         pdo.babbles = bool(len(flood)) and int(flood[-1]) == len(gaps) - 1
@@ -185,7 +185,7 @@ class PdoTiming:
         """Note immediately duplicated frames, which CAN may deliver."""
         period = self.bus.sync_period_ns
         limit = np.where(stamps[1:] > self.bus.sync_since_ns, min(0.25 * period, TWICE_NS), UNKNOWN_NS)
-        twice = np.flatnonzero(equal & (gaps < limit))
+        twice = np.flatnonzero(equal & (gaps > 0) & (gaps < limit))  # of frames with one stamp the times are not known
         if len(twice):
             i = int(twice[0])
             text = f"{pdo.name} came twice, the second one {gaps[i] / 1000:.0f} us behind the first"
