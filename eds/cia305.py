@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-__all__ = ["BIT_RATES", "FASTSCAN_START", "REQUESTS", "UNCONFIGURED", "LssService", "LssState"]
+__all__ = [
+    *("BIT_RATES", "FASTSCAN_START", "LSS_RESULTS", "REQUESTS", "UNCONFIGURED", "LssService", "LssState"),
+    "lss_result",
+]
 
 UNCONFIGURED = 255
 """Node id of an unconfigured device."""
@@ -73,3 +76,15 @@ BIT_RATES: Mapping[int, int] = {
     8: 10_000,
 }
 """Bit rates [bit/s] by index of table 0; index 5 is reserved, and here so is 9 (automatic detection)."""
+
+LSS_RESULTS: Mapping[LssService, Mapping[int, str]] = {
+    LssService.CONFIGURE_NODE_ID: {1: "node id out of range"},
+    LssService.CONFIGURE_BIT_TIMING: {1: "bit rate not supported"},
+    LssService.STORE_CONFIGURATION: {1: "storing not supported", 2: "storage medium: access error"},
+}
+"""Services whose answer has a result, and the results' texts."""
+
+
+def lss_result(service: LssService, error: int, specific: int) -> str:
+    """Return the result of a service as text, "ok" for 0."""
+    return "ok" if error == 0 else LSS_RESULTS[service].get(error, f"error {error}, specific {specific}")

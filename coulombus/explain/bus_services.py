@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from coulombus.eds.cia301 import NmtState
+from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia305 import LSS_RESULTS, LssService, lss_result
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import SYNC, Block
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Services"]
 
-TIME, LSS_ANSWER = 0x100, 0x7E4
+TIME, LSS_ANSWER = int(CobId.TIME), int(CobId.LSS_TX)
 ENOUGH, STOPPED = 3, 2.5
 """Intervals of which the period of TIME is learned; periods without TIME after which it has stopped."""
 EMPTY_NS = 2_000_000_000
 """Time with SYNC and an OPERATIONAL node after which a bus has no PDO."""
 PDOS = range(0x180, 0x580)
-REFUSALS = {
-    0x11: ("configure node id", {1: "the node id is out of range"}),
-    0x13: ("configure bit timing", {1: "the bit rate is not supported"}),
-    0x17: ("store configuration", {1: "the device cannot store it", 2: "the memory does not work"}),
-}
-"""LSS services with an error code, and the codes' meaning."""
 
 
 class Services:
@@ -63,11 +58,10 @@ class Services:
             self._period_ns = gaps[len(gaps) // 2]
 
     def _lss(self, row: int, t_ns: int, data: bytes) -> None:
-        if data[0] not in REFUSALS or not data[1]:
-            return
-        service, codes = REFUSALS[data[0]]
-        why = codes.get(data[1], f"error {data[1]}" + (f", the maker's {data[2]}" if data[1] == 0xFF else ""))
-        self.clues.begin("lss_refused", None, t_ns, f"LSS {service} is refused: {why}", row=row, subject=data[0])
+        if data[0] in list(LSS_RESULTS) and data[1]:
+            service = LssService(data[0])
+            what, why = service.name.lower().replace("_", " "), lss_result(service, data[1], data[2])
+            self.clues.begin("lss_refused", None, t_ns, f"LSS {what} is refused: {why}", row=row, subject=data[0])
 
     def _empty(self, sync_ns: int, t_ns: int) -> None:
         """Note a bus with SYNC and OPERATIONAL nodes, and without a PDO."""

@@ -42,7 +42,7 @@ from coulombus.wire.frame import Records, data_bytes
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
 PDO_KEYS = range(0x180, 0x580)
-OMITTED = "left out"
+OMITTED = "left out:"
 """Part of the remark of a reader on rows that it could not read."""
 VERDICTS = ("unresolved", "recovered", "warning")
 

@@ -217,6 +217,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("Read its EMCY and 603Fh.", "Compare the period of the set-points with 60C2h.", "Look for a limit switch or a halt input."),
             "The host commands, and the axis does as it likes.", "CiA 402-2, statusword bit 12",
         ),
+        "service_length": Kind(
+            22, "A frame's length does not fit its service", "The sender does not keep to CiA 301, or the frame is of another protocol.",
+            ("Look which program or device sends it.", "Compare with the clause of the service.",
+             "Look whether another protocol shares this bus."),
+            "Receivers ignore it, or read bytes that are not there.", "CiA 301, 7.2",
+        ),
         "guard_toggle": Kind(
             21, "The toggle bit of node guarding did not alternate", "An answer was lost, came twice, or the node restarted.",
             ("Look for a boot-up of the node just before.", "Look for a second guarding master.", TERMINATION),

@@ -49,18 +49,9 @@ SILENCE_NS = 300_000_000
 """Maximum lead of a silence, which begins at the last received frame, before its cause."""
 MINOR = frozenset(
     {
-        *("sdo_repeated", "sdo_overlap", "sdo_stray", "sdo_client_abort"),
-        *(
-            "sync_jitter",
-            "repeated",
-            "sdo_refused_read",
-            "heartbeat_late",
-            "overrun",
-            "sync_gap",
-            "rpdo_late",
-            "tpdo_late",
-        ),
-        *("error_history", "guard_toggle", "limit_active", "event_timer", "inhibit_time", "starved"),
+        *("repeated", "sync_gap", "sync_jitter", "rpdo_late", "tpdo_late", "heartbeat_late", "overrun", "starved"),
+        *("sdo_refused_read", "sdo_repeated", "sdo_overlap", "sdo_stray", "sdo_client_abort", "service_length"),
+        *("error_history", "guard_toggle", "limit_active", "event_timer", "inhibit_time"),
     }
 )
 """Kinds that do not stop a machine by themselves."""
@@ -170,24 +161,7 @@ class Incident:
         return "at the same moment" if len(self.clues) > 1 else "likely"
 
 
-MOMENTARY = frozenset(
-    {
-        *("sdo_repeated", "sdo_overlap", "sdo_stray", "sdo_client_abort"),
-        *(
-            "sync_jitter",
-            "repeated",
-            "sdo_refused_read",
-            "heartbeat_late",
-            "overrun",
-            "sync_gap",
-            "rpdo_late",
-            "tpdo_late",
-            "babble",
-        ),
-        *("error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed", "error_history", "guard_toggle"),
-        *("limit_active", "event_timer", "inhibit_time", "starved"),
-    }
-)
+MOMENTARY = MINOR | {"babble", "error_frames", "no_ack", "pdo_length", "sdo_abort", "reset_failed"}
 """Momentary kinds."""
 
 

@@ -1,4 +1,4 @@
-"""PDOs whose length does not match their map (CiA 301, 7.2.2.5)."""
+"""Lengths that do not match the PDO's map or the service (CiA 301, 7.2.2.5)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from coulombus.eds.cia301 import CobId
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import Block
+from coulombus.explain.frames import Block, Frames
 
 __all__ = ["Lengths"]
 
@@ -24,6 +25,8 @@ class Lengths:
         """Process a block."""
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
+            if known is None:
+                self._service(key, group)
             if known is None or known.source == "assumed":
                 continue
             expected = known.length or self._last.get(key, int(group.length[0]))
@@ -41,3 +44,27 @@ class Lengths:
                 clue.count += behind - i - 1
             if not fits[0] and (not len(changes) or changes[0] > 0):
                 self.clues.more("pdo_length", known.node, int(changes[0]) if len(changes) else len(group), subject=key)
+
+    def _service(self, key: int, group: Frames) -> None:
+        """Note frames of a service of CiA 301 with a length that it does not have."""
+        name, least, most = _service_of(key)
+        wrong = np.flatnonzero((group.length < least) | (group.length > most))
+        if name and len(wrong):
+            i = int(wrong[0])
+            expected = f"{least}" if least == most else f"{least} or {most}"
+            text = f"{name} ({key:03X}h) with {group.length[i]} bytes, expected {expected}"
+            node, t_ns, row = self.bus.sender(key), int(group.t_ns[i]), int(group.rows[i])
+            clue = self.clues.note("service_length", node, t_ns, text, row=row, subject=key, count=len(wrong))
+            clue.last_ns = clue.end_ns = int(group.t_ns[wrong[-1]])
+
+
+def _service_of(key: int) -> tuple[str, int, int]:
+    """Return the service of an identifier, its least and its greatest length; "" for no service."""
+    if key in (CobId.NMT, CobId.SYNC, CobId.TIME):
+        return {CobId.NMT: ("NMT", 2, 2), CobId.SYNC: ("SYNC", 0, 1), CobId.TIME: ("TIME", 6, 6)}[CobId(key)]
+    if key in (CobId.LSS_TX, CobId.LSS_RX):
+        return "LSS", 8, 8
+    services = {CobId.EMCY: ("EMCY", 8, 8), CobId.SDO_TX: ("SDO", 8, 8), CobId.SDO_RX: ("SDO", 8, 8)}
+    services[CobId.HEARTBEAT] = "heartbeat", 1, 1
+    function = key & 0x780
+    return services[CobId(function)] if key & 0x7F and key == key & 0x7FF and function in services else ("", 0, 8)

@@ -30,6 +30,8 @@ FLYING_NS, HEEDED_NS = 20_000_000, S
 """Time after a command within which a node's frames may still be from before it; the same for heartbeats."""
 FLIPS = 4
 """Successive heartbeats with another state than the one before that two devices send."""
+PROGRAM_NS = 60 * S
+"""Time after a command to its program (1F51h) within which a node may be silent and boot."""
 NEVER = 1 << 63
 LIFE_ERROR = 0x8130
 """EMCY of a node that misses the heartbeat or guarding of another one."""
@@ -147,7 +149,7 @@ class Nodes:
                 self._lost(block, node, last, text, row, node.reset_ns + BOOT_NS)
             return
         due = node.heartbeat_ns + node.period_ns
-        if self._said_goodbye(node) or self._stands(number):
+        if self._said_goodbye(node) or self._stands(number) or self._programmed(node, at_ns):
             return
         if last <= due:
             text = f"nothing comes from it any more: {self._due_text(node)}"
@@ -155,6 +157,9 @@ class Nodes:
         else:
             text = f"its heartbeats stop, its other frames still come: {self._due_text(node)}"
             self.clues.begin("heartbeat_lost", number, due, text, row=row, due_ns=due)
+
+    def _programmed(self, node: SeenNode, t_ns: int) -> bool:
+        return node.program_ns >= 0 and t_ns - node.program_ns < PROGRAM_NS
 
     def _lost(self, block: Block | None, node: SeenNode, t_ns: int, text: str, row: int, due_ns: int) -> None:
         """Begin the loss of a node."""
@@ -217,7 +222,7 @@ class Nodes:
         lost = [kind for kind in LOST_KINDS if self.clues.stands(kind, node.number)]
         if node.booted_ns >= 0 and t_ns - node.booted_ns < SAME_NS:
             return  # a duplicated frame
-        if reset is None and node.first_ns < t_ns:
+        if reset is None and not self._programmed(node, t_ns) and node.first_ns < t_ns:
             text = "it sends boot-up without an NMT reset"
             if node.boots and self.clues.stands("restarted", node.number):
                 text = "it sends boot-up again and again"

@@ -38,6 +38,8 @@ IN_A_ROW = 3
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
 MAPPING = (*SETTINGS, range(0x1000, 0x1001), range(0x1018, 0x1019))
 """Objects on which PDO maps, names and periods depend."""
+PROGRAM = 0x1F51
+"""Program control (CiA 302-3): stop, start, reset, clear."""
 OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
 READS = (forms.UPLOAD_INITIATE.phase, forms.BLOCK_UPLOAD_INITIATE.phase)
 WRITES = (forms.DOWNLOAD_INITIATE.phase, forms.BLOCK_DOWNLOAD_INITIATE.phase)
@@ -241,6 +243,8 @@ class SdoTransfers:
         if 0x6000 <= at[0] < 0xA000 or at[0] == 0x603F:
             self.bus.words.append((row, t_ns, number, at[0], value))
             self._mode(row, t_ns, number, server, at, value, request.writes)
+        if at[0] == PROGRAM and request.writes:
+            node.program_ns = t_ns
         if 0x1600 <= at[0] < 0x1800 or 0x1A00 <= at[0] < 0x1C00:
             self.bus.configured.add(number)
         if node.objects.get(at) != value:

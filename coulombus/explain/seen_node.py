@@ -50,6 +50,7 @@ class SeenNode(MappedNode):
     heartbeat_row: int = -1
     reset_ns: int = -1  # the first reset command without a boot-up since
     reset_alone: bool = False  # it went to this node only
+    program_ns: int = -1  # the last command to its program (1F51h)
     life_ns: int = -1  # the last EMCY about a heartbeat or guarding that it misses
     period_ns: int = 0  # of heartbeats; 0: unknown
     last_gap_ns: int = 0

@@ -23,7 +23,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync
+from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
@@ -276,7 +276,7 @@ class _Services:
         elif can_id == CobId.SYNC:
             row["service"], decoder = "sync", sync
         elif can_id == CobId.TIME:
-            row["service"] = "time"
+            row["service"], decoder = "time", time_stamp
         elif can_id in (CobId.LSS_TX, CobId.LSS_RX):
             row["service"], decoder = "lss", lambda content: lss(content, can_id == CobId.LSS_TX)
         elif can_id in self._emergencies:

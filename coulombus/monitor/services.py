@@ -1,4 +1,4 @@
-"""Decode services other than PDO and SDO: NMT, SYNC, EMCY, heartbeat, LSS (CiA 301, CiA 305).
+"""Decode services other than PDO and SDO: NMT, SYNC, TIME, EMCY, heartbeat, LSS (CiA 301, CiA 305).
 
 Each decoder turns eight bytes into the keys of a row; a frame too short for its service has the key
 "malformed". SDO is stateful: see `eds.sdo_channel`.
@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from typing import Any, TypeAlias
 
 from coulombus.eds.cia301 import NmtCommand, NmtState, emcy_text
-from coulombus.eds.cia305 import BIT_RATES, LssService, LssState
+from coulombus.eds.cia305 import BIT_RATES, LSS_RESULTS, LssService, LssState, lss_result
 
-__all__ = ["Row", "emcy", "heartbeat", "lss", "nmt", "sync"]
+__all__ = ["Row", "emcy", "heartbeat", "lss", "nmt", "sync", "time_stamp"]
 
 Row: TypeAlias = dict[str, Any]
 
+TIME_ORIGIN = datetime(1984, 1, 1)  # TIME has no time zone
 COMMANDS = {command.value: command.name.lower().replace("_", " ") for command in NmtCommand}
 COMMANDS[NmtCommand.ENTER_PRE_OPERATIONAL.value] = "enter pre-operational"
 STATES = {state.value: state.name.lower().replace("_", "-") for state in NmtState} | {0: "boot-up"}
@@ -35,6 +37,15 @@ def sync(data: bytes) -> Row:
     if len(data) > 1:
         return {"malformed": f"{len(data)} bytes, expected 0 or 1"}
     return {"counter": data[0]} if data else {}
+
+
+def time_stamp(data: bytes) -> Row:
+    """TIME: milliseconds since midnight (28 bits), and days since 1984-01-01 (CiA 301, 7.1.6.6)."""
+    if len(data) != 6:
+        return {"malformed": f"{len(data)} bytes, expected 6"}
+    ms, days = int.from_bytes(data[:4], "little") & 0x0FFFFFFF, int.from_bytes(data[4:], "little")
+    when = TIME_ORIGIN + timedelta(days=days, milliseconds=ms)
+    return {"time": when.isoformat(timespec="milliseconds")}
 
 
 def heartbeat(data: bytes) -> Row:
@@ -58,11 +69,6 @@ def emcy(data: bytes) -> Row:
     return row
 
 
-LSS_RESULTS = {
-    LssService.CONFIGURE_NODE_ID: {1: "node id out of range"},
-    LssService.CONFIGURE_BIT_TIMING: {1: "bit rate not supported"},
-    LssService.STORE_CONFIGURATION: {1: "storing not supported", 2: "storage medium: access error"},
-}
 LSS_WORDS = (
     *(LssService.SWITCH_VENDOR, LssService.SWITCH_PRODUCT, LssService.SWITCH_REVISION, LssService.SWITCH_SERIAL),
     *(LssService.IDENTIFY_VENDOR, LssService.IDENTIFY_PRODUCT, LssService.IDENTIFY_REVISION_LOW),
@@ -85,8 +91,7 @@ def lss(data: bytes, from_device: bool) -> Row:
     (word,) = struct.unpack_from("<I", data, 1)
     if from_device:
         if service in LSS_RESULTS:
-            why = LSS_RESULTS[service].get(data[1], f"error {data[1]}, specific {data[2]}")
-            return row | {"result": "ok" if data[1] == 0 else why}
+            return row | {"result": lss_result(service, data[1], data[2])}
         if service in LSS_ANSWERED_WORDS:
             return row | {"value": word}
         return row | ({"node_id": data[1]} if service == LssService.INQUIRE_NODE_ID else {})

@@ -203,3 +203,18 @@ def test_each_node_has_its_figures():
     assert node["sdo_response_s"] == pytest.approx([0.0005, 0.0015, 0.0025])
     assert node["pdos_per_s"] == pytest.approx(100 / 3.96, rel=0.02)
     assert node["states"]["OPERATIONAL"] > 0.97
+
+
+def test_a_frame_too_short_for_its_service_is_a_warning():
+    log = machine(3).add(500, 0x000, b"\x01").add(700, 0x083, b"\x10").add(900, 0x583, bytes(5))
+    explanation = log.explained()
+    assert (explanation.verdict, set(kinds(explanation))) == ("warnings", {"service_length"})
+    assert {clue.text for incident in explanation.incidents for clue in incident.clues} == {
+        "NMT (000h) with 1 bytes, expected 2", "EMCY (083h) with 1 bytes, expected 8", "SDO (583h) with 5 bytes, expected 8",
+    }  # fmt: skip
+
+
+def test_a_program_that_is_loaded_is_no_lost_node():
+    log = machine(3, until=20e3).boot(4, 2).beats(4, 63, 4000)
+    log.ask(4, 4000, "2f511f0100000000", "60511f0100000000").boot(4, 12e3).order(12.1e3, 1, 4)
+    assert log.beats(4, 12.2e3, 20e3).explained().verdict == "ok"
