@@ -110,8 +110,14 @@ def run() -> None:
         speed(given.frames)
         return
     score = truths(given.runs, given.first)
-    shares = (score.cause / score.runs, score.node / score.runs, score.state / score.runs)
-    missed = shares[0] < CAUSE or shares[1] < NODE or shares[2] < STATE or score.invented > INVENTED * score.healthy
+    shares = (score.cause / score.runs, score.node / score.runs, score.state / score.runs, score.culprit / score.runs)
+    missed = (
+        shares[0] < CAUSE
+        or shares[1] < NODE
+        or shares[2] < STATE
+        or shares[3] < STATE
+        or score.invented > INVENTED * score.healthy
+    )
     sys.exit(1 if missed else 0)
 
 

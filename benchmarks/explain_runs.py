@@ -114,7 +114,8 @@ def main(runs: int, first: int = 0) -> Score:
     for line in score.lines(("healthy", "healthy_rig", *SCENARIOS, PAIR, *RIG_FAULTS)):
         print(line)
     print(
-        f"{score.runs} runs with a fault: cause {score.cause}, node {score.node}, state {score.state} right; "
+        f"{score.runs} runs with a fault: cause {score.cause}, node {score.node}, state {score.state}, "
+        f"culprit {score.culprit} right; "
         f"{score.healthy} healthy runs, in {score.invented} of them something was invented"
     )
     return score

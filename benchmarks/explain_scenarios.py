@@ -5,6 +5,7 @@ kinds may name the first incident, of which node, in which state.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from benchmarks.explain_bus import CLEAR, HEARTBEAT_MS, MS, Machine
 from benchmarks.explain_truths import Truth, truth_of
@@ -13,6 +14,8 @@ from coulombus.eds.cia301 import NmtCommand
 __all__ = ["PAIR", "SCENARIOS", "Scenario", "healthy", "pair"]
 
 REST_MS = 900
+TIMED_OUT = (0x05040000).to_bytes(4, "little")
+"""Code of an abort because of a time-out."""
 
 Scenario = Callable[[Machine, int], Truth]
 
@@ -21,7 +24,7 @@ def node_off(machine: Machine, node: int) -> Truth:
     """A node loses its supply for good."""
     machine.network.power_off(machine.row(node))
     machine.run(REST_MS)
-    return truth_of("node_lost", node, "unresolved")
+    return truth_of("node_lost", node, "unresolved", "node")
 
 
 def _again(machine: Machine, node: int) -> None:
@@ -45,7 +48,7 @@ def node_off_and_back(machine: Machine, node: int) -> Truth:
     machine.run(40)
     _again(machine, node)
     machine.run(REST_MS / 2)
-    return truth_of("node_lost restarted", node, "recovered")
+    return truth_of("node_lost restarted", node, "recovered", "node")
 
 
 def brown_out(machine: Machine, node: int) -> Truth:
@@ -54,7 +57,7 @@ def brown_out(machine: Machine, node: int) -> Truth:
     machine.run(12)
     machine.network.power_on(machine.row(node))
     machine.run(REST_MS)
-    return truth_of("restarted", node, "unresolved")
+    return truth_of("restarted", node, "unresolved", "node")
 
 
 def brown_out_and_back(machine: Machine, node: int) -> Truth:
@@ -65,7 +68,7 @@ def brown_out_and_back(machine: Machine, node: int) -> Truth:
     machine.run(40)
     _again(machine, node)
     machine.run(REST_MS / 2)
-    return truth_of("restarted", node, "recovered")
+    return truth_of("restarted", node, "recovered", "node")
 
 
 def refused_write(machine: Machine, node: int) -> Truth:
@@ -73,7 +76,7 @@ def refused_write(machine: Machine, node: int) -> Truth:
     index, subindex, value, size = machine.dice.choice(((0x1000, 0, 1, 4), (0x2FF0, 1, 5, 2), (0x1018, 1, 3, 4)))
     machine.write(node, index, subindex, value, size)
     machine.run(REST_MS / 2)
-    return truth_of("sdo_abort", node, "unresolved")
+    return truth_of("sdo_abort", node, "unresolved", "client")
 
 
 def absent_node(machine: Machine, node: int) -> Truth:
@@ -82,7 +85,7 @@ def absent_node(machine: Machine, node: int) -> Truth:
     for _ in range(3):
         machine.ask(absent, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)), 10)
     machine.run(REST_MS)
-    return truth_of("node_missing", absent, "unresolved")
+    return truth_of("node_missing", absent, "unresolved", "unknown")
 
 
 def second_master(machine: Machine, node: int) -> Truth:
@@ -95,7 +98,7 @@ def second_master(machine: Machine, node: int) -> Truth:
 
     machine.extra.append(send)
     machine.run(REST_MS)
-    return truth_of("second_master", node, "unresolved")
+    return truth_of("second_master", node, "unresolved", "client")
 
 
 def second_sync(machine: Machine, node: int) -> Truth:
@@ -103,7 +106,7 @@ def second_sync(machine: Machine, node: int) -> Truth:
     other = machine.network.station(())
     machine.extra.append(lambda at: other.send(0x080, at_ns=at + int(0.3 * machine.period_ns)))
     machine.run(REST_MS)
-    return truth_of("two_sync", None, "unresolved")
+    return truth_of("two_sync", None, "unresolved", "configuration")
 
 
 def duplicate_node(machine: Machine, node: int) -> Truth:
@@ -119,7 +122,7 @@ def duplicate_node(machine: Machine, node: int) -> Truth:
 
     machine.extra.append(send)
     machine.run(REST_MS)
-    return truth_of("duplicate_node", node, "unresolved")
+    return truth_of("duplicate_node", node, "unresolved", "configuration")
 
 
 def master_gone(machine: Machine, node: int) -> Truth:
@@ -127,7 +130,7 @@ def master_gone(machine: Machine, node: int) -> Truth:
     machine.syncing = machine.beating = False
     machine.commanded = set()
     machine.run(REST_MS)
-    return truth_of("sync_lost host_lost", None, "unresolved")
+    return truth_of("sync_lost host_lost", None, "unresolved", "host")
 
 
 def sync_pause(machine: Machine, node: int) -> Truth:
@@ -147,7 +150,7 @@ def set_points_stop(machine: Machine, node: int) -> Truth:
     """The master stops commanding one node."""
     machine.commanded.discard(node)
     machine.run(REST_MS)
-    return truth_of("rpdo_missing", node, "unresolved")
+    return truth_of("rpdo_missing", node, "unresolved", "host")
 
 
 def set_points_pause(machine: Machine, node: int) -> Truth:
@@ -156,7 +159,7 @@ def set_points_pause(machine: Machine, node: int) -> Truth:
     machine.run(3 * machine.period_ns / MS)
     machine.commanded.add(node)
     machine.run(REST_MS / 2)
-    return truth_of("rpdo_missing", node, "recovered")
+    return truth_of("rpdo_missing", node, "recovered", "host")
 
 
 def babble(machine: Machine, node: int) -> Truth:
@@ -187,7 +190,7 @@ def heartbeat_off(machine: Machine, node: int) -> Truth:
     """Somebody writes 0 to 1017h: the heartbeat ends, the PDOs go on."""
     machine.write(node, 0x1017, 0, 0, 2)
     machine.run(REST_MS)
-    return truth_of("heartbeat_lost", node, "unresolved")
+    return truth_of("heartbeat_lost", node, "unresolved", "node")
 
 
 def drive_fault(machine: Machine, node: int) -> Truth:
@@ -215,7 +218,7 @@ def left_alone(machine: Machine, node: int) -> Truth:
     """A node goes to PRE-OPERATIONAL without an order that the bus saw."""
     machine.network.nmt_command(machine.row(node), NmtCommand.ENTER_PRE_OPERATIONAL)
     machine.run(REST_MS)
-    return truth_of("left_operational", node, "unresolved")
+    return truth_of("left_operational", node, "unresolved", "node")
 
 
 def full_bus(machine: Machine, node: int) -> Truth:
@@ -231,6 +234,27 @@ def full_bus(machine: Machine, node: int) -> Truth:
     return truth_of("bus_load", None, "warning recovered unresolved")
 
 
+def reset_in_vain(machine: Machine, node: int) -> Truth:
+    """A node loses its supply, and the master commands it to reset, again and again."""
+    machine.network.power_off(machine.row(node))
+    machine.commanded.discard(node)
+    for _ in range(machine.dice.randint(1, 4)):
+        machine.run(machine.dice.choice((15, 60, 300)))
+        machine.order(NmtCommand.RESET_NODE, node)
+    machine.run(REST_MS)
+    return truth_of("node_lost", node, "unresolved", "node")
+
+
+def deaf_client(machine: Machine, node: int) -> Truth:
+    """The master asks, does not take the answer, and gives up."""
+    request = bytes((0x40, 0x18, 0x10, machine.dice.randint(1, 4), 0, 0, 0, 0))
+    machine.ask(node, request)
+    machine.run(machine.dice.choice((50, 200, 400)))
+    machine.master.send(0x600 + node, b"\x80" + request[1:4] + TIMED_OUT)
+    machine.run(REST_MS)
+    return truth_of("sdo_not_taken", node, "unresolved", "client")
+
+
 SCENARIOS: dict[str, tuple[Scenario, bool]] = {
     function.__name__: (function, drives)
     for function, drives in (
@@ -239,7 +263,7 @@ SCENARIOS: dict[str, tuple[Scenario, bool]] = {
         (duplicate_node, False), (master_gone, False), (sync_pause, False), (set_points_stop, False),
         (set_points_pause, False), (babble, False), (short_rpdo, False), (heartbeat_off, False),
         (drive_fault, True), (drive_fault_and_reset, True), (left_alone, False),
-        (full_bus, False),
+        (full_bus, False), (reset_in_vain, False), (deaf_client, False),
     )
 }  # fmt: skip
 """What may be done, and whether it needs drives."""
@@ -262,11 +286,35 @@ def pair(machine: Machine) -> Truth:
     nodes = machine.dice.sample(machine.ids, 2)
     truth = first(machine, nodes[0])
     machine.run(1200)
-    return Truth(truth.kinds, truth.node, truth.states, (second(machine, nodes[1]),))
+    return replace(truth, also=(second(machine, nodes[1]),))
 
 
 def healthy(machine: Machine) -> None:
-    """Run, and now and then look into a node as a person does."""
+    """Run, and now and then look into a node as a person does; at times beside other healthy things."""
+    dice = machine.dice
+    extra = dice.choice(("", "inputs", "timer", "poll", "lss", "late boot"))
+    other = machine.network.station(())
+    alone = next(number for number in range(60, 120) if number not in machine.ids)
+    period_ns = round(machine.period_ns * dice.choice((1.0005, 1.005, 1.3)))
+    due = [machine.network.t_ns]
+
+    def send(at: int) -> None:
+        if extra == "inputs" and dice.random() < 0.3:  # event-driven
+            other.send(0x380 + alone, dice.randbytes(2), at_ns=at + round(dice.uniform(0.1, 0.9) * machine.period_ns))
+        while extra == "timer" and due[0] < at + machine.period_ns:  # by a clock of its own
+            other.send(0x280 + alone, b"\1\2", at_ns=max(due[0], machine.network.t_ns))
+            due[0] += period_ns
+        if extra == "poll" and machine.cycle % 10 == 0:
+            other.send(0x600 + machine.ids[0], bytes((0x40, 0x01, 0x10, 0, 0, 0, 0, 0)), at_ns=at)
+
+    machine.extra.append(send)
+    if extra == "lss":
+        for data in (b"\x04\1", b"\x5e", b"\x04\0"):
+            other.send(0x7E5, data.ljust(8, b"\0"))
+    if extra == "late boot":
+        other.send(0x700 + alone, b"\0")
     for _ in range(3):
         machine.run(REST_MS / 3)
-        machine.read(machine.dice.choice(machine.ids), 0x1001, 0)
+        if extra != "poll":
+            machine.read(dice.choice(machine.ids), 0x1001, 0)
+    machine.extra.remove(send)

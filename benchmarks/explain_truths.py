@@ -16,6 +16,9 @@ from coulombus.wire.frame import Records
 __all__ = ["Outcome", "Score", "Truth", "explained", "truth_of"]
 
 
+NOTHING = (False, False, False, False)
+
+
 @dataclass(frozen=True)
 class Truth:
     """What was done: the kinds that name it rightly, the node (None: the bus), the states."""
@@ -23,12 +26,14 @@ class Truth:
     kinds: frozenset[str]
     node: int | None
     states: frozenset[str]
+    culprits: frozenset[str] = frozenset()
+    """Who may be named; empty: not judged."""
     also: tuple[Truth, ...] = ()
 
 
-def truth_of(kinds: str, node: int | None, states: str) -> Truth:
-    """Return a truth of words: its kinds and its states."""
-    return Truth(frozenset(kinds.split()), node, frozenset(states.split()))
+def truth_of(kinds: str, node: int | None, states: str, culprits: str = "") -> Truth:
+    """Return a truth of words: its kinds, its states and its culprits."""
+    return Truth(frozenset(kinds.split()), node, frozenset(states.split()), frozenset(culprits.split()))
 
 
 @dataclass
@@ -47,24 +52,24 @@ class Outcome:
         return self.told.incidents[0].root.kind if self.told.incidents else "ok"
 
     @property
-    def right(self) -> tuple[bool, bool, bool]:
-        """Whether cause, node and state are right."""
+    def right(self) -> tuple[bool, bool, bool, bool]:
+        """Whether cause, node, state and culprit are right."""
         if self.truth is None:
             ok = not self.told.incidents
-            return ok, ok, ok
+            return ok, ok, ok, ok
         if not self.told.incidents:
-            return False, False, False
+            return NOTHING
         bus = self.told.bus
         pairs: list[tuple[Truth, Incident]] = []
         for truth in (self.truth, *self.truth.also):  # each is an incident of its own
             free = [incident for incident in self.told.incidents if all(incident is not other for _, other in pairs)]
             alike = [incident for incident in free if incident.root.kind in truth.kinds]
             if not alike:
-                return False, False, False
+                return NOTHING
             there = [incident for incident in alike if incident.node == truth.node]
             pairs.append((truth, (there or alike)[0]))
         if all(incident is not self.told.incidents[0] for _, incident in pairs):
-            return False, False, False
+            return NOTHING
         return (
             True,
             all(
@@ -73,6 +78,7 @@ class Outcome:
                 for truth, incident in pairs
             ),
             all(incident.status in truth.states for truth, incident in pairs),
+            all(incident.who in truth.culprits or not truth.culprits for truth, incident in pairs),
         )
 
 
@@ -84,6 +90,7 @@ class Score:
     cause: int = 0
     node: int = 0
     state: int = 0
+    culprit: int = 0
     healthy: int = 0
     invented: int = 0
     matrix: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -100,6 +107,7 @@ class Score:
         self.cause += right[0]
         self.node += right[1]
         self.state += right[2]
+        self.culprit += right[3]
 
     def lines(self, names: Iterable[str]) -> Iterator[str]:
         """Yield the matrix as a table in Markdown, in the order of these names."""

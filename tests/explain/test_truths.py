@@ -23,6 +23,7 @@ def test_a_hundred_runs_are_told_as_they_were():
     assert score.cause >= 0.95 * score.runs, score.matrix
     assert score.node >= 0.95 * score.runs
     assert score.state >= 0.95 * score.runs
+    assert score.culprit >= 0.95 * score.runs
     assert (score.invented, score.healthy > 5) == (0, True)
 
 
@@ -30,7 +31,7 @@ def test_a_hundred_runs_are_told_as_they_were():
 def test_each_thing_that_is_done_is_told(name):
     result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(4, name)  # three drives
     assert result.name == name
-    assert result.right == (True, True, True), [vars(i.root) for i in result.told.incidents]
+    assert result.right == (True, True, True, True), [vars(i.root) for i in result.told.incidents]
 
 
 @pytest.mark.parametrize(
