@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from coulombus.explain.bus import Bus
+from coulombus.explain.bus import SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block, Integers
 from coulombus.kernels.decorator import kernel
 from coulombus.wire.bits import data_frame_bits
@@ -82,6 +83,7 @@ class BusLoad:
     def _process(self, block: Block, window: Integers) -> None:
         """Process whole windows."""
         bits = _bits(block.frames)
+        bits[_are_sdo(block.frames["can_id"])] = 0  # a block transfer takes what the others leave
         starts = np.flatnonzero(np.diff(window, prepend=-1))
         sums = np.add.reduceat(bits, starts)
         full = sums / (self.bitrate * WINDOW_NS / 1e9) >= FULL
@@ -148,6 +150,10 @@ def _bits(frames: Records) -> Integers:
     bits = np.zeros(len(frames), np.int64)
     _bits_of(can_id, length, word, bits)
     return bits
+
+
+def _are_sdo(can_id: Integers) -> npt.NDArray[np.bool_]:
+    return (can_id >= SDO_TX) & (can_id < SDO_RX + 0x80)
 
 
 def _counts(block: Block, start: int, end: int) -> dict[int, int]:

@@ -167,6 +167,13 @@ def test_a_full_bus_names_who_fills_it_and_who_is_starved():
     assert "coulombus hz" in first_check(explanation)
 
 
+def test_a_block_transfer_that_takes_what_is_left_fills_no_bus():
+    log = machine(3, until=3000)
+    for k in range(20000):
+        log.add(500 + 0.115 * k, 0x583, bytes((k % 127 + 1, *range(7))))
+    assert "bus_load" not in {c.kind for i in log.explained().incidents for c in i.clues}
+
+
 def test_destroyed_frames_are_counted_by_kind_and_identifier():
     log = machine(3).cycles(60, 3000, (3,))
     for k in range(30):
