@@ -14,6 +14,8 @@ from coulombus.eds.cia301 import NmtCommand
 __all__ = ["PAIR", "SCENARIOS", "Scenario", "healthy", "pair"]
 
 REST_MS = 900
+BOOT_MS = 5500
+"""Time after a reset until it is known that a node does not boot."""
 TIMED_OUT = (0x05040000).to_bytes(4, "little")
 """Code of an abort because of a time-out."""
 
@@ -241,7 +243,7 @@ def reset_in_vain(machine: Machine, node: int) -> Truth:
     for _ in range(machine.dice.randint(1, 4)):
         machine.run(machine.dice.choice((15, 60, 300)))
         machine.order(NmtCommand.RESET_NODE, node)
-    machine.run(REST_MS)
+    machine.run(BOOT_MS)
     return truth_of("node_lost", node, "unresolved", "node")
 
 
@@ -296,7 +298,7 @@ def healthy(machine: Machine) -> None:
     other = machine.network.station(())
     alone = next(number for number in range(60, 120) if number not in machine.ids)
     period_ns = round(machine.period_ns * dice.choice((1.0005, 1.005, 1.3)))
-    due = [machine.network.t_ns]
+    due = [machine.network.t_ns + 2 * machine.period_ns]
 
     def send(at: int) -> None:
         if extra == "inputs" and dice.random() < 0.3:  # event-driven
@@ -309,7 +311,7 @@ def healthy(machine: Machine) -> None:
 
     machine.extra.append(send)
     if extra == "lss":
-        for data in (b"\x04\1", b"\x5e", b"\x04\0"):
+        for data in (b"\x04\1", b"\x04\0"):
             other.send(0x7E5, data.ljust(8, b"\0"))
     if extra == "late boot":
         other.send(0x700 + alone, b"\0")
@@ -317,4 +319,3 @@ def healthy(machine: Machine) -> None:
         machine.run(REST_MS / 3)
         if extra != "poll":
             machine.read(dice.choice(machine.ids), 0x1001, 0)
-    machine.extra.remove(send)
