@@ -309,8 +309,10 @@ class SyncIntervals:
                 pdo.usual_ns, pdo.learned = -1.0, []
 
     def _late(self, pdo: SeenPdo, group: Frames, places: Integers, latency: npt.NDArray[np.float64]) -> None:
-        """Compare times after SYNC with the usual one, or with earlier ones if the PDO may have a clock of its own."""
+        """Compare times after SYNC with the usual one, or with the one before if the PDO may have a clock of its own."""
         skipped, period = 0, self.bus.sync_period_ns
+        if not len(latency):
+            return
         if pdo.synchronous:
             if pdo.usual_ns < 0:
                 skipped = min(len(latency), LEARN - len(pdo.learned))
@@ -320,10 +322,9 @@ class SyncIntervals:
                 pdo.usual_ns = float(np.median(pdo.learned))
             usual = np.full(len(latency) - skipped, pdo.usual_ns)
         else:
-            whole = np.concatenate((pdo.learned, latency))
-            pdo.learned = whole[-LEARN:].tolist()
-            skipped = max(LEARN - (len(whole) - len(latency)), 0)
-            usual = whole[: max(len(whole) - LEARN, 0)][-len(latency) :] if len(latency) else latency
+            usual = np.concatenate((pdo.learned, latency))[:-1]
+            skipped = len(latency) - len(usual)
+            pdo.learned = latency[-1:].tolist()
         deviation = latency[skipped:] - usual
         if not pdo.synchronous:
             deviation = (deviation + period / 2) % period - period / 2

@@ -204,7 +204,7 @@ def test_a_sync_that_no_node_heard_is_one_incident_of_the_bus():
 
 
 def test_tpdos_that_come_late_are_a_warning():
-    log = machine(3).cycles(60, 3000)
+    log = machine(3).synchronous(3, 20).cycles(60, 3000)
     for cycle, ms in enumerate(range(60, 3000, 2)):
         log.add(ms + (0.2 if not 600 < cycle < 700 else 1.5), 0x183, bytes((cycle % 7, 1)))
     told = log.explained()

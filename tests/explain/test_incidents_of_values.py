@@ -260,7 +260,7 @@ def left_enabled():
 
 
 def rpdo_late():
-    log = machine(3).cycles(60, 3000, (3,))
+    log = machine(3).synchronous(3, 20, rpdo=True).cycles(60, 3000, (3,))
     for ms in range(60, 3000, 2):
         log.add(ms + (1.0 if not 1000 < ms < 1200 else 1.9), 0x203, word(ms % 7))
     return log

@@ -44,6 +44,13 @@ class Log:
             self.add(ms + after, 0x580 + node, bytes.fromhex(answer))
         return self
 
+    def synchronous(self, node, ms, rpdo=False):
+        """Configure a node's first TPDO or RPDO by SDO: sent after each SYNC."""
+        low, base = ("14", 0x200) if rpdo else ("18", 0x180)
+        cob_id = (base + node).to_bytes(4, "little").hex()
+        self.ask(node, ms, f"2300{low}01{cob_id}", f"6000{low}0100000000")
+        return self.ask(node, ms + 1, f"2f00{low}0201000000", f"6000{low}0200000000")
+
     def cycles(self, begin, end, tpdos=(), period=2.0, skip=lambda cycle, node: False, data=None):
         for cycle, ms in enumerate(np.arange(begin, end, period)):
             self.add(ms, 0x080)
