@@ -48,6 +48,7 @@ class BusLoad:
         self._learned = 0
         self._rest = np.zeros(0, FRAME)  # of the window that is not complete
         self._windows = 0
+        self._bits_so_far = 0
         self._counts: dict[int, int] = {}  # frames of an identifier in windows that are not full
         self._full: list[tuple[int, int, dict[int, int]]] = []  # successive full windows: number, first row, counts
         _bits_of(*[np.zeros(0, np.int64)] * 4)  # loads the machine code, while no frame of a live bus waits
@@ -83,6 +84,7 @@ class BusLoad:
     def _process(self, block: Block, window: Integers) -> None:
         """Process whole windows."""
         bits = _bits(block.frames)
+        self._bits_so_far += int(bits.sum())
         bits[_are_sdo(block.frames["can_id"])] = 0  # a block transfer takes what the others leave
         starts = np.flatnonzero(np.diff(window, prepend=-1))
         sums = np.add.reduceat(bits, starts)
@@ -103,6 +105,10 @@ class BusLoad:
         self._windows += int(np.count_nonzero(~full))
         if self._full and int(window[-1]) > self._full[-1][0]:
             self._over()
+
+    def share(self, duration_ns: int) -> float:
+        """Return the load since the log's beginning, of 1; 0 while the bit rate is unknown."""
+        return self._bits_so_far / (self.bitrate * duration_ns / 1e9) if self.bitrate and duration_ns > 0 else 0.0
 
     def _learn(self, frames: Records) -> None:
         """Find the lowest bit rate at which these frames are possible."""

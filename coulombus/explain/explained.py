@@ -42,6 +42,8 @@ from coulombus.wire.frame import Records, data_bytes
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
 PDO_KEYS = range(0x180, 0x580)
+POLLED = 50
+"""SDO transfers of a node that is polled."""
 OMITTED = "left out:"
 """Part of the remark of a reader on rows that it could not read."""
 VERDICTS = ("unresolved", "recovered", "warning")
@@ -133,10 +135,11 @@ class Explainer:
         self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
         if rig is not None:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
+        self._load = BusLoad(self.bus)
         self._disturbances, self._services = Disturbances(self.bus), Services(self.bus)
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
         self._others = (
-            *(self._host, Orders(self.bus), self._disturbances, self._services, BusLoad(self.bus)),
+            *(self._host, Orders(self.bus), self._disturbances, self._services, self._load),
             *(
                 self._drives,
                 self._sync,
@@ -297,6 +300,21 @@ class Explainer:
         """Whether the recording has the beginning of the host's run and not its end, which is within the span."""
         return self.bus.host_runs and self._span[1] is None
 
+    def _polls(self) -> list[str]:
+        """Return a remark on SDO transfers that wait for one node after the other."""
+        nodes = [node for node in self.bus.nodes.values() if node.sdo_response.count >= POLLED]
+        duration_ns = self.bus.last_ns - self.bus.first_ns
+        waiting = sum(node.sdo_response.total for node in nodes) / max(duration_ns, 1)
+        if len(nodes) < 2 or waiting < 0.5:
+            return []
+        round_ms = sum(node.sdo_response.total / node.sdo_response.count for node in nodes) / 1e6
+        load = self._load.share(duration_ns)
+        idle = f", and the bus is {1 - load:.0%} idle" if load else ""
+        return [
+            f"SDO asks {len(nodes)} nodes in turn: a round waits {len(nodes)} x {round_ms / len(nodes):.2g} ms for answers, "
+            f"{waiting:.0%} of the time{idle}; PDOs come without a request"
+        ]
+
     def _remarks(self) -> list[str]:
         bus = self.bus
         remarks = []
@@ -318,6 +336,7 @@ class Explainer:
         if bus.others:
             nodes = ", ".join(f"node {number}" for number in sorted(bus.others))
             remarks.append(f"{nodes}: another device than the rig's (1018h), so the rig says nothing of it")
+        remarks += self._polls()
         assumed = sorted(
             {known.node for known in bus.maps.values() if known.source == "assumed" and known.can_id in bus.counts}
         )

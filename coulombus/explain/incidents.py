@@ -83,6 +83,9 @@ class Incident:
     def root(self) -> Clue:
         """The clue that names it."""
         telling = [clue for clue in self.clues if clue.kind not in REMARKS] or self.clues
+        trips = [clue.begin_ns for clue in telling if clue.kind == "host_trip"]
+        if trips:  # what comes behind the trip is no cause of it
+            telling = [clue for clue in telling if clue.begin_ns <= min(trips) + PROMPT_NS]
         grave = [clue for clue in telling if clue.kind not in MINOR] or telling
         known = min(clue.due_ns for clue in grave)
         early = [clue for clue in grave if clue.begin_ns <= known + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]

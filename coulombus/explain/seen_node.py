@@ -19,7 +19,7 @@ class Spread:
 
     def __init__(self) -> None:
         self.count, self._step, self._values = 0, 1, array("q")
-        self._least, self._most = 0, 0
+        self._least, self._most, self.total = 0, 0, 0
 
     def add(self, value: int) -> None:
         """Add a value."""
@@ -30,6 +30,7 @@ class Spread:
             if len(self._values) > self.MOST:
                 self._values, self._step = self._values[::2], 2 * self._step
         self.count += 1
+        self.total += value
 
     @property
     def figures(self) -> tuple[int, float, int] | None:

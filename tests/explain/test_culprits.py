@@ -218,3 +218,12 @@ def test_a_program_that_is_loaded_is_no_lost_node():
     log = machine(3, until=20e3).boot(4, 2).beats(4, 63, 4000)
     log.ask(4, 4000, "2f511f0100000000", "60511f0100000000").boot(4, 12e3).order(12.1e3, 1, 4)
     assert log.beats(4, 12.2e3, 20e3).explained().verdict == "ok"
+
+
+def test_a_poll_in_turn_says_for_what_it_waits():
+    log = Log()
+    for k in range(400):
+        node = 1 + k % 4
+        log.ask(node, 100 + 1.2 * k, READ, ANSWER, after=1.0)
+    (remark,) = log.explained().remarks
+    assert remark.startswith("SDO asks 4 nodes in turn: a round waits 4 x 1 ms for answers, 83% of the time")
