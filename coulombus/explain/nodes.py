@@ -78,7 +78,8 @@ class Nodes:
                 node, first = self.bus.nodes.get(number), int(group.t_ns[0])
                 if node is None or first < node.first_ns:
                     self.bus.node(number, first).first_ns = first
-        for number in list(self._loss):
+        self._loss = {number: clue for number, clue in self._loss.items() if clue.end_ns is None}
+        for number in self._loss:
             self._seek(block, number)
 
     def end(self, block: Block) -> None:

@@ -94,41 +94,30 @@ class PdoTiming:
             self._repeated(pdo, stamps, rows, gaps, equal)
         if is_pdo and pdo.synchronous is not False and len(edges) and self.bus.sync_period_ns:
             self._intervals.take(pdo, group, stamps, edges, equal)
-        pdo.equal += int(equal.sum())
-        pdo.frames += len(group)
         if len(group):
             if is_pdo:
-                self._own_period(pdo, group, stamps, gaps)
+                self._own_period(pdo, group, stamps, gaps, equal)
             pdo.last_ns, pdo.last_row = int(group.t_ns[-1]), int(group.rows[-1])
             pdo.last_word, pdo.last_length = int(group.word[-1]), int(group.length[-1])
+            pdo.equal += int(equal.sum())
 
     # by its own period
 
-    def _own_period(self, pdo: SeenPdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
+    def _own_period(self, pdo: SeenPdo, group: Frames, stamps: Integers, gaps: Integers, equal: Flags) -> None:
         """Learn the period of a PDO that does not follow SYNC, and note its stops."""
         if pdo.synchronous and pdo.stopped:
             self._comes(pdo, int(group.t_ns[0]))
         own = stamps[1:] < pdo.followed_ns
         if not pdo.synchronous and own.any():
             number = int(own.sum())
-            self._own_gaps(pdo, group, stamps[: number + 1], gaps[:number])
+            self._own_gaps(pdo, group, stamps[: number + 1], gaps[:number], equal[:number])
         if pdo.synchronous or not own.all():
             pdo.period_ns = 0
 
-    def _own_gaps(self, pdo: SeenPdo, group: Frames, stamps: Integers, gaps: Integers) -> None:
-        skipped = 0
+    def _own_gaps(self, pdo: SeenPdo, group: Frames, stamps: Integers, gaps: Integers, equal: Flags) -> None:
+        skipped = 0 if pdo.period_ns else self._learn(pdo, gaps, equal)
         if not pdo.period_ns:
-            skipped = min(len(gaps), TIMED - len(pdo.gaps))
-            pdo.gaps += gaps[:skipped].tolist()
-            if len(pdo.gaps) < TIMED:
-                return
-            low, median, high = (float(value) for value in np.percentile(pdo.gaps, (5, 50, 95)))
-            even = high < 1.5 * median and min(pdo.gaps) > 0.5 * median
-            timed = high - low < 2 * STEADY * median or pdo.equal >= EQUAL or pdo.synchronous is False
-            pdo.period_ns = int(median) if even and timed else 0
-            pdo.gaps = []
-            if not pdo.period_ns:
-                return
+            return
         rows = np.concatenate(([pdo.last_row], group.rows))[-len(stamps) :]
         for i in np.flatnonzero(gaps > STOPPED * pdo.period_ns).tolist():
             if i < skipped:
@@ -138,6 +127,20 @@ class PdoTiming:
                 self._stopped(pdo, begin, int(rows[i]), end)
             pdo.excused = False
             self._comes(pdo, end)
+
+    def _learn(self, pdo: SeenPdo, gaps: Integers, equal: Flags) -> int:
+        """Learn a period from the first intervals that are even; return how many of these it took."""
+        before = len(pdo.gaps)
+        whole = np.concatenate((pdo.gaps, gaps)).astype(np.int64)
+        number = len(whole) // TIMED
+        some = np.sort(whole[: number * TIMED].reshape(number, TIMED), axis=1)
+        low, median, high = some[:, 0], some[:, TIMED // 2], some[:, -1]
+        repeated = np.concatenate(([0], np.cumsum(equal)))[TIMED * (np.arange(number) + 1) - before] + pdo.equal
+        timed = (high - low < 2 * STEADY * median) | (repeated >= EQUAL) | (pdo.synchronous is False)
+        shown = np.flatnonzero((high < 1.5 * median) & (low > 0.5 * median) & timed)
+        pdo.gaps = [] if len(shown) else whole[number * TIMED :].tolist()
+        pdo.period_ns = int(median[shown[0]]) if len(shown) else 0
+        return TIMED * (int(shown[0]) + 1) - before if len(shown) else len(gaps)
 
     def _stopped(self, pdo: SeenPdo, begin: int, row: int, t_ns: int) -> None:
         """Note a stop that is overdue at a time [ns]."""

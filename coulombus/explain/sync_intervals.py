@@ -57,7 +57,6 @@ class SeenPdo:
     last_word: int = 0
     last_length: int = -1
     equal: int = 0  # frames with the contents of the one before
-    frames: int = 0
     # after SYNC
     open: int = 0  # frames in the SYNC interval that is not complete
     open_ns: int = -1  # the first of them
