@@ -32,7 +32,7 @@ class Services:
         """Process a block."""
         for row, t_ns, key, word, length in block.of(TIME, LSS_ANSWER):
             if key == TIME:
-                self.look(t_ns - 1)
+                self.look(t_ns)
                 self._time(row, t_ns)
             elif length == 8:
                 self._lss(row, t_ns, data_bytes(word, 8))

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from coulombus.explain.frames import Integers
 
 __all__ = ["Clue", "Clues"]
 
 MERGED_NS = 1_000_000_000
 """Notes of one kind, node and subject within this time of each other form one clue."""
 MOST = 40
-"""Maximum clues of one kind and node; the last of them counts later ones."""
+"""Maximum clues of one kind and node, and of one identifier; the last of them counts later ones."""
+BY_IDENTIFIER = frozenset(
+    {
+        *("tpdo_missing", "rpdo_missing", "pdo_stopped", "tpdo_late", "rpdo_late", "pdo_length", "service_length"),
+        *("repeated", "babble", "starved", "event_timer", "inhibit_time"),
+    }
+)
 
 
 @dataclass
@@ -43,7 +55,7 @@ class Clues:
     def __init__(self) -> None:
         self.all: list[Clue] = []
         self._last: dict[tuple[str, int | None, object], Clue] = {}
-        self._number: dict[tuple[str, int | None], int] = {}
+        self._number: dict[tuple[str, int | None, object], int] = {}
 
     def begin(
         self,
@@ -63,7 +75,7 @@ class Clues:
         key = (kind, node, subject)
         clue = self._last.get(key)
         apart_ns = MERGED_NS if due_ns < 0 else -1
-        if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > apart_ns and self._room(kind, node)):
+        if clue is None or (clue.end_ns is not None and t_ns - clue.last_ns > apart_ns and self._room(key)):
             due_ns = t_ns if due_ns < 0 else due_ns
             clue = Clue(kind, node, t_ns, text, due_ns=due_ns, last_ns=t_ns, rows=[row] if row >= 0 else [])
             self.all.append(clue)
@@ -91,6 +103,25 @@ class Clues:
         clue.count += count - 1
         clue.end_ns = clue.last_ns
         return clue
+
+    def series(
+        self,
+        kind: str,
+        node: int | None,
+        t_ns: Integers,
+        rows: Integers,
+        text: Callable[[int], str],
+        *,
+        subject: object = None,
+    ) -> None:
+        """Note observations at several times, in their order; `text`: of one of them by its place."""
+        if not len(t_ns):
+            return
+        starts = [0, *(np.flatnonzero(np.diff(t_ns) > MERGED_NS) + 1).tolist(), len(t_ns)]
+        for start, end in pairwise(starts):
+            first = int(t_ns[start])
+            clue = self.note(kind, node, first, text(start), row=int(rows[start]), subject=subject, count=end - start)
+            clue.last_ns = clue.end_ns = int(t_ns[end - 1])
 
     def end(self, kind: str, node: int | None, t_ns: int, text: str = "", *, subject: object = None) -> bool:
         """Close a clue; return whether it was open."""
@@ -122,6 +153,8 @@ class Clues:
         self.all = [clue for clue in self.all if id(clue) not in gone]
         self._last = {key: clue for key, clue in self._last.items() if id(clue) not in gone}
 
-    def _room(self, kind: str, node: int | None) -> bool:
-        number = self._number[kind, node] = self._number.get((kind, node), 0) + 1
+    def _room(self, key: tuple[str, int | None, object]) -> bool:
+        if key[0] not in BY_IDENTIFIER:
+            key = key[0], key[1], None
+        number = self._number[key] = self._number.get(key, 0) + 1
         return number < MOST

@@ -69,7 +69,7 @@ class Drives:
                 events.append((row, t_ns, node, axis, low, value))
         self.bus.words.clear()
         for row, t_ns, node, axis, low, value in sorted(events):
-            self.look(t_ns - 1)
+            self.look(t_ns)
             self._event(row, t_ns, node, axis, low, value)
         if len(block.t_ns):
             self.look(int(block.t_ns[-1]))
@@ -78,7 +78,7 @@ class Drives:
         """Note drives that have not followed their command for too long."""
         for (node, axis), drive in self._axes.items():
             due_ns = drive.since_ns + STUCK_NS
-            if drive.since_ns < 0 or t_ns < due_ns or drive.state < 0:
+            if drive.since_ns < 0 or t_ns <= due_ns or drive.state < 0:
                 continue
             if self.clues.stands("not_following", node, axis) or self._away(node, due_ns):
                 continue

@@ -185,7 +185,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
     )
     for number, incident in enumerate(incidents, 1):
         incident.number = number
-        incident.clues.sort(key=lambda clue: clue.begin_ns)
+        incident.clues.sort(key=lambda clue: (clue.begin_ns, *_order(clue)))
     return incidents
 
 
@@ -204,11 +204,12 @@ def _merged(incidents: list[Incident]) -> Iterator[Incident]:
             yield incident
 
 
-def _order(clue: Clue) -> tuple[bool, int, int]:
+def _order(clue: Clue) -> tuple[bool, int, int, str, int, str]:
     """Sort key: clues about all nodes first, then by time, because a cause may be seen after its consequence."""
     lead = TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
     lead = PROMPT_NS if clue.kind == "host_trip" else lead
-    return (clue.kind not in FOR_ALL, clue.begin_ns - lead, -KINDS[clue.kind].rank)
+    who = clue.kind, -1 if clue.node is None else clue.node, clue.text  # the same order in whichever blocks it is read
+    return (clue.kind not in FOR_ALL, clue.begin_ns - lead, -KINDS[clue.kind].rank, *who)
 
 
 def _minor(incident: Incident) -> bool:

@@ -49,13 +49,15 @@ class Lengths:
         """Note frames of a service of CiA 301 with a length that it does not have."""
         name, least, most = _service_of(key)
         wrong = np.flatnonzero((group.length < least) | (group.length > most))
-        if name and len(wrong):
-            i = int(wrong[0])
-            expected = f"{least}" if least == most else f"{least} or {most}"
-            text = f"{name} ({key:03X}h) with {group.length[i]} bytes, expected {expected}"
-            node, t_ns, row = self.bus.sender(key), int(group.t_ns[i]), int(group.rows[i])
-            clue = self.clues.note("service_length", node, t_ns, text, row=row, subject=key, count=len(wrong))
-            clue.last_ns = clue.end_ns = int(group.t_ns[wrong[-1]])
+        if not name or not len(wrong):
+            return
+        expected = f"{least}" if least == most else f"{least} or {most}"
+
+        def text(i: int) -> str:
+            return f"{name} ({key:03X}h) with {group.length[wrong[i]]} bytes, expected {expected}"
+
+        node = self.bus.sender(key)
+        self.clues.series("service_length", node, group.t_ns[wrong], group.rows[wrong], text, subject=key)
 
 
 def _service_of(key: int) -> tuple[str, int, int]:

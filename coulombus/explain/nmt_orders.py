@@ -6,7 +6,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.explain.bus import Bus, Order
-from coulombus.explain.frames import Block, Integers
+from coulombus.explain.frames import Block, Frames, Integers
 
 __all__ = ["Orders"]
 
@@ -29,44 +29,50 @@ class Orders:
         self._pending: dict[int, tuple[Order, int]] = {}
         """By node, the last command out of OPERATIONAL, and the number of set-points since."""
         self._last_ns: dict[int, int] = {}
-        """By node, the last set-point."""
+        self._last_row: dict[int, int] = {}
+        """By node, time and row of the last set-point."""
 
     def take(self, block: Block) -> None:
         """Process a block."""
         orders, self._seen = self.bus.orders[self._seen :], len(self.bus.orders)
         set_points = self._set_points(block)
         for order in orders:
-            for node in [n for n in self.bus.nodes if order.concerns(n)]:
-                t_ns = set_points.get(node, NONE)
+            for node in [n for n in {*set_points, *self._last_ns} if order.concerns(n)]:
+                rows, t_ns = set_points.get(node, (NONE, NONE))
+                place = int(rows.searchsorted(order.row))
                 if order.command == NmtCommand.START:
-                    self._follow(node, t_ns[t_ns < order.t_ns])
+                    self._follow(node, rows[:place], t_ns[:place])
                     self._pending.pop(node, None)
                     self.clues.end("ordered_away", node, order.t_ns, "it is started again")
                     continue
-                place = int(t_ns.searchsorted(order.t_ns))
                 last_ns = int(t_ns[place - 1]) if place else self._last_ns.get(node, -AT_WORK_NS)
                 if order.t_ns - last_ns < AT_WORK_NS:
                     self._pending.setdefault(node, (order, 0))
-        for node, t_ns in set_points.items():
-            self._follow(node, t_ns)
-            self._last_ns[node] = int(t_ns[-1])
+        for node, (rows, t_ns) in set_points.items():
+            self._follow(node, rows, t_ns)
+            self._last_ns[node], self._last_row[node] = int(t_ns[-1]), int(rows[-1])
 
-    def _set_points(self, block: Block) -> dict[int, Integers]:
-        """Return the times of all RPDOs of each node: by its map, else by the identifier."""
-        times: dict[int, list[Integers]] = {}
+    def _set_points(self, block: Block) -> dict[int, tuple[Integers, Integers]]:
+        """Return rows and times of all RPDOs of each node: by its map, else by the identifier."""
+        groups: dict[int, list[Frames]] = {}
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
             usual = key in RPDOS and not key & 0x80 and key & 0x7F
             if known.direction == "rpdo" if known is not None else usual:
-                times.setdefault(known.node if known is not None else key & 0x7F, []).append(group.t_ns)
-        return {node: np.sort(np.concatenate(stamps)) for node, stamps in times.items()}
+                groups.setdefault(known.node if known is not None else key & 0x7F, []).append(group)
+        set_points = {}
+        for node, some in groups.items():
+            rows, t_ns = (np.concatenate([getattr(group, name) for group in some]) for name in ("rows", "t_ns"))
+            order = np.argsort(rows)
+            set_points[node] = rows[order], t_ns[order]
+        return set_points
 
-    def _follow(self, node: int, t_ns: Integers) -> None:
+    def _follow(self, node: int, rows: Integers, t_ns: Integers) -> None:
         """Count set-points behind a command, and note that they go on."""
         if node not in self._pending:
             return
         order, count = self._pending[node]
-        t_ns = t_ns[t_ns > max(order.t_ns, self._last_ns.get(node, -1))]
+        t_ns = t_ns[rows > max(order.row, self._last_row.get(node, -1))]
         self._pending[node] = order, count + len(t_ns)
         number = count + 1 + np.arange(len(t_ns))
         late = np.flatnonzero((t_ns - order.t_ns >= WORKS_NS) & (number >= LEAST))

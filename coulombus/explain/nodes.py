@@ -110,8 +110,8 @@ class Nodes:
             self.clues.begin("heartbeat_lost", number, t_ns, text, row=node.heartbeat_row, due_ns=t_ns)
 
     def look(self, block: Block | None, t_ns: int) -> None:
-        """Note what is overdue at a time [ns], in the order in which it became so."""
-        while self._next_ns <= t_ns:
+        """Note what became overdue before a time [ns], in the order in which it did."""
+        while self._next_ns < t_ns:
             at_ns = self._next_ns
             due = [(self._due_ns(node), node.number) for node in self.bus.nodes.values()]
             for when, number in sorted(due):
@@ -206,7 +206,8 @@ class Nodes:
     def _heartbeat(self, block: Block, row: int, t_ns: int, number: int, state: int) -> None:
         node = self.bus.node(number, t_ns)
         self.bus.canopen += 1
-        self._asked.pop(number, None)
+        for waiting in (self._asked, self._loss, self._returns):
+            waiting.pop(number, None)
         if state == NmtState.INITIALISING:
             self._boot(row, t_ns, node)
             return

@@ -189,10 +189,8 @@ class PdoTiming:
         period = self.bus.sync_period_ns
         limit = np.where(stamps[1:] > self.bus.sync_since_ns, min(0.25 * period, TWICE_NS), UNKNOWN_NS)
         twice = np.flatnonzero(equal & (gaps > 0) & (gaps < limit))  # of frames with one stamp the times are not known
-        if len(twice):
-            i = int(twice[0])
-            text = f"{pdo.name} came twice, the second one {gaps[i] / 1000:.0f} us behind the first"
-            clue = self.clues.note(
-                "repeated", pdo.node, int(stamps[i + 1]), text, row=int(rows[i]), subject=pdo.key, count=len(twice)
-            )
-            clue.last_ns = clue.end_ns = int(stamps[twice[-1] + 1])
+
+        def text(i: int) -> str:
+            return f"{pdo.name} came twice, the second one {gaps[twice[i]] / 1000:.0f} us behind the first"
+
+        self.clues.series("repeated", pdo.node, stamps[twice + 1], rows[twice], text, subject=pdo.key)

@@ -36,7 +36,7 @@ class RareFrames:
                 yield block.part(start, before + 1 - block.first_row)
                 self.bus.renew()
                 start = before + 1 - block.first_row
-            self.look(block, t_ns - 1)
+            self.look(block, t_ns)
             if SDO_TX < key <= SDO_RX + 0x7F:
                 self.sdo.frame(row, t_ns, key, word, length)
             else:
@@ -53,7 +53,7 @@ class RareFrames:
         yield block.part(start, len(block.t_ns))
 
     def look(self, block: Block | None, t_ns: int) -> None:
-        """Note what is overdue at a time [ns]; `block`: the frames of that time, if they are not yet processed."""
+        """Note what became overdue before a time [ns]; `block`: the frames of that time, if they are not yet processed."""
         self.nodes.look(block, t_ns)
         self.sdo.look(t_ns)
 

@@ -329,16 +329,15 @@ class SyncIntervals:
             deviation = (deviation + period / 2) % period - period / 2
         strange = np.abs(deviation) > 0.3 * period
         often = np.flatnonzero((pdo.late.counts(strange) >= OFTEN) & strange)
-        if len(often):
-            which = places[skipped:][often]
-            how = "late" if deviation[often[0]] > 0 else "after the next SYNC"
-            worst = latency[skipped:][often[0]]
-            text = f"{pdo.name} comes {how}: {worst / MS:.2f} ms after SYNC, usually {usual[often[0]] / MS:.2f} ms"
-            kind, i = "tpdo_late" if pdo.sends else "rpdo_late", int(which[0])
-            clue = self.clues.note(
-                kind, pdo.node, int(group.t_ns[i]), text, row=int(group.rows[i]), subject=pdo.key, count=len(often)
-            )
-            clue.last_ns = clue.end_ns = int(group.t_ns[which[-1]])
+        which = places[skipped:][often]
+
+        def text(i: int) -> str:
+            how = "late" if deviation[often[i]] > 0 else "after the next SYNC"
+            after, before = latency[skipped:][often[i]] / MS, usual[often[i]] / MS
+            return f"{pdo.name} comes {how}: {after:.2f} ms after SYNC, usually {before:.2f} ms"
+
+        kind = "tpdo_late" if pdo.sends else "rpdo_late"
+        self.clues.series(kind, pdo.node, group.t_ns[which], group.rows[which], text, subject=pdo.key)
 
 
 def _within(t_ns: Integers, spans: list[list[int]]) -> Flags:

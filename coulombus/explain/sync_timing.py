@@ -80,7 +80,9 @@ class SyncTiming:
                 self.bus.sync_period_ns = int(np.median(self._learned))
                 self.bus.sync_since_ns = int(stamps[skipped])
         if self.bus.sync_period_ns and len(gaps) > skipped:
-            self._intervals(block, stamps[skipped:], rows[skipped:], gaps[skipped:])
+            self._intervals(
+                block, stamps[skipped:], rows[skipped:], gaps[skipped:], self._stop if skipped == 0 else None
+            )
         self._stop = _Stop(int(sync.t_ns[-1]), int(sync.rows[-1]))
         self.look(int(block.t_ns[-1]), block)
         self._heard_ns = int(block.t_ns[-1])
@@ -142,29 +144,31 @@ class SyncTiming:
         at_work = [n for n in running if started or self.bus.nodes[n].state_at(begin) == NmtState.OPERATIONAL]
         return bool(nodes) and not at_work
 
-    def _intervals(self, block: Block, stamps: Integers, rows: Integers, gaps: Integers) -> None:
+    def _intervals(
+        self, block: Block, stamps: Integers, rows: Integers, gaps: Integers, open_stop: _Stop | None
+    ) -> None:
         period = self.bus.sync_period_ns
         for i in np.flatnonzero(gaps > LATE * period).tolist():
-            self._gap(block, int(stamps[i]), int(stamps[i + 1]), int(rows[i]), i == 0)
+            stop = open_stop if i == 0 and open_stop is not None else _Stop(int(stamps[i]), int(rows[i]))
+            self._gap(block, stop, int(stamps[i + 1]))
         self._second_producer(stamps[1:], rows[1:], gaps)
         deviates = np.abs(gaps - period) > UNEVEN * period
         uneven = self._uneven.counts(deviates & (gaps < 3 * period)) >= SHARE * WINDOW
         for (_, end), begin in zip(self.bus.two_sync, self._doubled, strict=True):
             uneven &= (stamps[1:] < begin) | (stamps[1:] > end)
         often = np.flatnonzero(uneven)
-        if len(often):
-            i = int(often[0])
-            worst = max(self._worst_ns, int(np.abs(gaps[: i + 1] - period)[gaps[: i + 1] < 3 * period].max(initial=0)))
-            text = f"its intervals differ by up to {worst / MS:.1f} ms from its period of {period / MS:g} ms"
-            clue = self.clues.note(
-                "sync_jitter", None, int(stamps[i + 1]), text, row=int(rows[i + 1]), count=len(often)
-            )
-            clue.last_ns = clue.end_ns = int(stamps[often[-1] + 1])
-        self._worst_ns = max(self._worst_ns, int(np.abs(gaps - period)[gaps < 3 * period].max(initial=0)))
+        strange = np.where(gaps < 3 * period, np.abs(gaps - period), 0)
+        worst = np.maximum.accumulate(np.concatenate(([self._worst_ns], strange)))[1:]
+        self._worst_ns = int(worst[-1])
 
-    def _gap(self, block: Block, begin: int, end: int, row: int, first: bool) -> None:
+        def text(i: int) -> str:
+            return f"its intervals differ by up to {worst[often[i]] / MS:.1f} ms from its period of {period / MS:g} ms"
+
+        self.clues.series("sync_jitter", None, stamps[1:][often], rows[1:][often], text)
+
+    def _gap(self, block: Block, stop: _Stop, end: int) -> None:
         """Process an interval that is too long."""
-        stop = self._stop if first and self._stop is not None else _Stop(begin, row)
+        begin, row = stop.t_ns, stop.row
         self._follow(block, stop, end)
         if not stop.kind and end - begin > self._limit_ns and not self._ordered(begin, end):
             stop.kind = "sync_lost"
@@ -209,13 +213,13 @@ class SyncTiming:
         self._number += len(gaps)
         self._even(self._number, int(stamps[-1]))
         twice = np.flatnonzero(gaps < min(0.25 * period, TWICE_NS))
-        if len(twice) and not self.clues.stands("two_sync", None):
-            i = int(twice[0])
-            text = f"a SYNC came twice, the second one {gaps[i] / 1000:.0f} us behind the first"
-            clue = self.clues.note(
-                "repeated", None, int(stamps[i]), text, row=int(rows[i]), count=len(twice), subject="sync"
-            )
-            clue.last_ns = clue.end_ns = int(stamps[twice[-1]])
+        if self.clues.stands("two_sync", None):
+            twice = twice[stamps[twice] < self._doubled[-1]]
+
+        def words(i: int) -> str:
+            return f"a SYNC came twice, the second one {gaps[twice[i]] / 1000:.0f} us behind the first"
+
+        self.clues.series("repeated", None, stamps[twice], rows[twice], words, subject="sync")
 
     def _even(self, number: int, t_ns: int) -> None:
         """End a series of SYNCs that follow too soon, if none came in the intervals until this one."""

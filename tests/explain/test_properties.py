@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import random
+
 import numpy as np
 import pytest
 
 from benchmarks.explain_runs import outcome
 from coulombus.explain.explained import Explainer
 from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.data_word import data_word
+from coulombus.wire.frame import FRAME
 from explain_log import MS, TYPE_402, Log, machine
 
 NAMES = (
@@ -62,6 +67,45 @@ def test_the_blocks_in_which_a_log_is_read_change_nothing(name):
     for size in (7, 1000):
         assert told(explained(frames, size, files())) == whole
     assert told(explained(frames, 311, files(), live=True)) == whole
+
+
+def drawn(seed, number=800):
+    """Return frames of three nodes that follow no protocol: any service, any content, any time."""
+    dice = random.Random(seed)
+    frames, t_ns = np.zeros(number, FRAME), dice.choice((0, 10**18))
+    services = (0x080, 0x180, 0x200, 0x280, 0x300, 0x580, 0x600, 0x700)
+    ids = [0x000, 0x080, 0x100, 0x7E4, 0x7E5] + [base + n for n in dice.sample(range(1, 128), 3) for base in services]
+    weights = [dice.random() ** 3 for _ in ids]
+    period_ns = dice.choice((0, 0, 1_000_000, 10_000_000))
+    for row in frames:
+        steps = (100_000, 500_000, 1_000_000) if dice.random() < 0.7 else (0, 1000, 5 * 10**6, 50 * 10**6, 3 * 10**9)
+        t_ns += period_ns if period_ns and dice.random() < 0.9 else dice.choice(steps)
+        can_id = dice.choices(ids, weights)[0]
+        data = dice.choice((dice.randbytes(dice.randrange(9)), b"\x37\x02", b"\x08\x02\1\0\0\0", bytes(8)))
+        if can_id == 0:
+            data = bytes((dice.choice((1, 2, 0x80, 0x81, 0x82, 7)), dice.choice((0, ids[-1] & 0x7F))))
+        elif can_id & 0x780 == 0x700:
+            data = bytes((dice.choice((0, 4, 5, 5, 5, 0x7F, 0x85)),))
+        elif can_id & 0x780 in (0x580, 0x600):
+            command = dice.choice(
+                (0x40, 0x43, 0x4F, 0x60, 0x23, 0x2F, 0x80, 0x21, 0x00, 0xA0, 0xC0, dice.randrange(256))
+            )
+            at = bytes(
+                (dice.choice((0x00, 0x16, 0x17, 0x41)), dice.choice((0x10, 0x18, 0x1A, 0x60)), dice.choice((0, 1)))
+            )
+            data = bytes((command,)) + at + dice.choice((b"\0\0\4\5", b"\2\0\0\0", dice.randbytes(4)))
+        flags = dice.choices((0, CAN_RTR_FLAG, CAN_ERR_FLAG, CAN_EFF_FLAG), (96, 2, 1, 1))[0]
+        can_id = dice.choice((0x04, 0x40, 0x88, 0x100)) if flags == CAN_ERR_FLAG else can_id
+        row["t_ns"], row["can_id"], row["length"], row["word"] = t_ns, can_id | flags, len(data), data_word(data)
+    return frames
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_any_frames_the_blocks_change_nothing(seed):
+    frames = drawn(seed)
+    whole = told(explained(frames))
+    for size in (1, 13, 400):
+        assert told(explained(frames, size)) == whole
 
 
 @pytest.mark.slow
