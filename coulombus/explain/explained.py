@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
 from coulombus.explain.nmt_orders import Orders
-from coulombus.explain.nodes import STATES
+from coulombus.explain.node_summary import NodeSummary, summary_of
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
@@ -41,37 +40,11 @@ from coulombus.wire.frame import Records, data_bytes
 
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
-PDO_KEYS = range(0x180, 0x580)
 POLLED = 50
 """SDO transfers of a node that is polled."""
 OMITTED = "left out:"
 """Part of the remark of a reader on rows that it could not read."""
 VERDICTS = ("unresolved", "recovered", "warning")
-
-
-@dataclass(frozen=True)
-class NodeSummary:
-    """Summary of a node in a line."""
-
-    number: int
-    name: str
-    state: str
-    frames: int
-    boots: int
-    heartbeat_ns: tuple[int, float, int] | None
-    """Minimum, median and maximum of the intervals of its heartbeats [ns]; None without one."""
-    sdo_response_ns: tuple[int, float, int] | None
-    """The same of the times from an SDO request to its response."""
-    sdo_transfers: int
-    emergencies: int
-    pdos_per_s: float
-    states: dict[str, float]
-    """Share of the log that it spent in each NMT state."""
-    identity: tuple[int, int] | None
-    """Vendor id and product code (1018h) if the log has them."""
-    maps: str
-    """Source of its PDO maps: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
-    well: bool
 
 
 @dataclass(frozen=True)
@@ -202,7 +175,11 @@ class Explainer:
         verdict = next((word for word in VERDICTS if word in states), "ok")
         return Explanation(
             verdict="warnings" if verdict == "warning" else verdict,
-            nodes=tuple(self._summary(number, incidents) for number in sorted(self.bus.nodes) if self._is_canopen),
+            nodes=tuple(
+                summary_of(self.bus, number, self._is_well(number, incidents))
+                for number in sorted(self.bus.nodes)
+                if self._is_canopen
+            ),
             incidents=incidents,
             epoch_ns=self._epoch_ns or 0,
             end_ns=self.bus.last_ns,
@@ -259,41 +236,10 @@ class Explainer:
                     data = data_bytes(int(frame["word"]), int(frame["length"]))
                     self._shown[row] = (int(frame["t_ns"]), int(frame["can_id"]), data)
 
-    def _summary(self, number: int, incidents: tuple[Incident, ...]) -> NodeSummary:
-        node = self.bus.nodes[number]
-        state = STATES.get(node.state, "booting" if node.state == 0 else "") if node.state >= 0 else ""  # type: ignore[call-overload]
-        sources = {
-            known.source
-            for known in self.bus.maps.values()
-            if known.node == number and known.fields and known.can_id in self.bus.counts
-        }
-        frames = sum(count for key, count in self.bus.counts.items() if self.bus.sender(key) == number)
+    def _is_well(self, number: int, incidents: tuple[Incident, ...]) -> bool:
+        """Return whether no incident concerns a node."""
         well = not any(clue.node == number for incident in incidents for clue in incident.clues)
-        well &= number != self.bus.host or not (self.bus.tripped or self._is_cut)
-        begin_ns, end_ns = max(self.bus.first_ns, 0), self.bus.last_ns
-        pdos = sum(
-            count for key, count in self.bus.counts.items() if key in PDO_KEYS and self.bus.sender(key) == number
-        )
-        shares: dict[str, float] = {}
-        for (since_ns, entered), (until_ns, _) in pairwise([*node.states, (end_ns, -1)]):
-            name = STATES.get(entered, "booting")  # type: ignore[call-overload]
-            shares[name] = shares.get(name, 0.0) + (until_ns - since_ns) / max(end_ns - begin_ns, 1)
-        return NodeSummary(
-            number=number,
-            name=self.bus.names.get(number, ""),
-            state=str(state),
-            frames=frames,
-            boots=node.boots,
-            heartbeat_ns=node.intervals.figures,
-            sdo_response_ns=node.sdo_response.figures,
-            sdo_transfers=node.transfers,
-            emergencies=node.emergencies,
-            pdos_per_s=pdos / max((end_ns - begin_ns) / 1e9, 1e-9) if pdos else 0.0,
-            states=shares,
-            identity=node.identity if any(node.identity) else None,
-            maps=", ".join(sorted(sources)),
-            well=well,
-        )
+        return well and (number != self.bus.host or not (self.bus.tripped or self._is_cut))
 
     @property
     def _is_cut(self) -> bool:
