@@ -62,6 +62,7 @@ class ExplainOutputs:
     overwrite: bool
     as_json: bool
     check: bool
+    nodes: bool
 
 
 knowledge_options = bundle(
@@ -83,6 +84,7 @@ output_options = bundle(
     force_option,
     json_option,
     click.option("--check", is_flag=True, help="End with 1 if anything is unresolved."),
+    click.option("--nodes", is_flag=True, help="Print the nodes instead: identity, EDS file, figures."),
 )
 
 
@@ -112,6 +114,7 @@ def explain(
       coulombus explain candump.log
       coulombus explain run.pcapng 1
       coulombus explain candump.log --eds 5=drive.eds --report report.html
+      coulombus explain candump.log --nodes --eds my-eds-files
       coulombus explain run.pcapng --check --json | jq .verdict
       coulombus explain --bus socketcan:can0
     """
@@ -151,7 +154,7 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:
     """Print the screen, the incident or the JSON object, and write the report."""
-    from coulombus.explain.explanation_text import as_dict, detail_lines, html_page, markdown, screen
+    from coulombus.explain.explanation_text import as_dict, detail_lines, html_page, markdown, node_lines, screen
     from coulombus.recording.output_file import new_file
 
     incidents = {incident.number: incident for incident in explanation.incidents}
@@ -169,6 +172,11 @@ def _show(explanation: Explanation, source: str, number: int | None, outputs: Ex
         print_json(value)
         return
     lines = screen(explanation, source) if number is None else detail_lines(explanation, incidents[number], source)
+    if outputs.nodes:
+        with printed():
+            for line in node_lines(explanation):
+                echo(line)
+        return
     with printed():
         for line in lines:
             echo(on_terminal(line, COURSE if line.startswith("     ") else 3, piped=PROSE))

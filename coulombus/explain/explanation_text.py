@@ -11,7 +11,19 @@ from coulombus.explain.explained import Explanation
 from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident
 
-__all__ = ["as_dict", "cause", "checks", "course", "detail_lines", "html_page", "markdown", "news", "screen", "title"]
+__all__ = [
+    "as_dict",
+    "cause",
+    "checks",
+    "course",
+    "detail_lines",
+    "html_page",
+    "markdown",
+    "news",
+    "node_lines",
+    "screen",
+    "title",
+]
 
 VERDICT_TEXT = {
     "ok": "ok: nothing is wrong in this log",
@@ -69,6 +81,7 @@ def as_dict(explanation: Explanation) -> dict[str, Any]:
                 "emcy": node.emergencies, "pdos_per_s": round(node.pdos_per_s, 3),
                 "states": {state: round(share, 4) for state, share in node.states.items()},
                 "identity": None if node.identity is None else list(node.identity),
+                "profile": node.profile or None, "eds": node.eds or None,
             }
             for node in explanation.nodes
         ],
@@ -90,7 +103,9 @@ def _seconds(spread: tuple[int, float, int] | None) -> list[float] | None:
 
 def _node_table(explanation: Explanation) -> list[str]:
     """Return what is known of each node, a line each."""
-    rows = [("node", "boots", "heartbeat [ms]", "SDO response [ms]", "SDO", "EMCY", "PDO/s", "OPERATIONAL")]
+    rows: list[tuple[str, ...]] = [
+        ("node", "boots", "heartbeat [ms]", "SDO response [ms]", "SDO", "EMCY", "PDO/s", "OPERATIONAL")
+    ]
     for node in explanation.nodes:
         rows.append(
             (
@@ -104,6 +119,32 @@ def _node_table(explanation: Explanation) -> list[str]:
                 f"{100 * node.states['OPERATIONAL']:.0f} %" if "OPERATIONAL" in node.states else "-",
             )
         )
+    return _aligned(rows)
+
+
+def node_lines(explanation: Explanation) -> Iterator[str]:
+    """Yield the nodes of a log: what they are, and their figures."""
+    rows: list[tuple[str, ...]] = [("node", "name", "profile", "vendor", "product", "state", "EDS file")]
+    for node in explanation.nodes:
+        vendor, product = node.identity or (0, 0)
+        rows.append(
+            (
+                str(node.number),
+                node.name or "-",
+                str(node.profile or "-"),
+                f"{vendor:X}h" if vendor else "-",
+                f"{product:X}h" if product else "-",
+                node.state or "-",
+                node.eds or "-",
+            )
+        )
+    yield from _aligned(rows)
+    yield ""
+    yield "minimum / median / maximum"
+    yield from _node_table(explanation)
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 

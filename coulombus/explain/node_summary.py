@@ -34,6 +34,10 @@ class NodeSummary:
     """Share of the log that it spent in each NMT state."""
     identity: tuple[int, int] | None
     """Vendor id and product code (1018h) if the log has them."""
+    profile: int
+    """Number of its device profile, as 402 (1000h); 0: unknown, or none."""
+    eds: str
+    """Path of its EDS file, "" without one."""
     maps: str
     """Source of its PDO maps: "rig", "SDO seen in the log", "EDS", "assumed", or ""."""
     well: bool
@@ -61,6 +65,8 @@ def summary_of(bus: Bus, number: int, well: bool) -> NodeSummary:
         pdos_per_s=sum(count for key, count in sent.items() if key in PDOS) / (duration_ns / 1e9),
         states=_shares(node, bus.last_ns, duration_ns),
         identity=node.identity if any(node.identity) else None,
+        profile=node.device_type & 0xFFFF,
+        eds=str(description.path) if (description := bus.describe(number)) is not None else "",
         maps=", ".join(sorted(maps)),
         well=well,
     )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bisect
 from array import array
 from dataclasses import dataclass, field
-from statistics import median
+
+import numpy as np
 
 from coulombus.recording.maps.seen_maps import MappedNode
 
@@ -35,7 +36,9 @@ class Spread:
     @property
     def figures(self) -> tuple[int, float, int] | None:
         """Minimum, median, maximum; None without a value."""
-        return (self._least, float(median(self._values)), self._most) if self.count else None
+        return (
+            (self._least, float(np.median(np.frombuffer(self._values, np.int64))), self._most) if self.count else None
+        )
 
 
 @dataclass

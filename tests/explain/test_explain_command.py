@@ -168,3 +168,12 @@ def test_a_rig_of_other_devices_names_no_node_of_the_log(tmp_path):
     told = json.loads(call(candump(log, tmp_path / "x.log"), "--json", "--rig", "bench").output)
     assert told["nodes"][0]["name"] is None
     assert any("rig" in remark and "node 1" in remark for remark in told["remarks"])
+
+
+def test_the_nodes_of_a_log_are_a_table(tmp_path):
+    log = machine(3, 4, until=2000).ask(4, 500, "4018100100000000", "43181001c0040000")
+    result = call(candump(log.ask(4, 510, "4000100000000000", "4300100092010200"), tmp_path / "a.log"), "--nodes")
+    assert result.exit_code == 0
+    identity, figures = result.output.split("\n\n")
+    assert identity.splitlines()[2].split() == ["4", "-", "402", "4C0h", "-", "OPERATIONAL", "-"]
+    assert "100 / 100 / 100" in figures
