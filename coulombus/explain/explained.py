@@ -82,6 +82,8 @@ class Explainer:
         EDS files of nodes, or files to be matched by identity.
     span
         Begin and end [s] of the examined part; None: open.
+    epoch_ns
+        Time 0 [ns]; None: that of the first frame.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Explainer:
         rig: Rig | None = None,
         eds: EdsFiles | None = None,
         span: tuple[float | None, float | None] = (None, None),
+        epoch_ns: int | None = None,
     ) -> None:
         given = dict(eds.of_nodes) if eds is not None else {}
         names = {node: product(description) for node, description in given.items()}
@@ -125,7 +128,7 @@ class Explainer:
         )
         self._span = span
         self._axis = StraightTimes()
-        self._epoch_ns: int | None = None
+        self._epoch_ns = epoch_ns
         self._shown: dict[int, tuple[int, int, bytes]] = {}
         self._rows: set[int] = set()
         self._late: list[tuple[int, str]] = []
@@ -328,7 +331,7 @@ def explain(
     explainer: Explainer | None = None
     for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
-            explainer = Explainer(rig or attached_rig(capture, remarks), eds, span)
+            explainer = Explainer(rig or attached_rig(capture, remarks), eds, span, capture.origin_ns)
         explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
     assert explainer is not None  # a log without a frame is refused
     explainer.end()

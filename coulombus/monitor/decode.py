@@ -30,7 +30,7 @@ from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
-from coulombus.recording.signals import Recording, Source, epoch_of
+from coulombus.recording.signals import Recording, Source
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
@@ -202,7 +202,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
     epoch_ns = None
     for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
-        epoch_ns = epoch_of(capture.frames) if epoch_ns is None and len(capture.frames) else epoch_ns
+        epoch_ns = capture.origin_ns if epoch_ns is None else epoch_ns
         for start in range(0, len(capture.frames), LEARNED):
             frames = capture.frames[start : start + LEARNED]
             if maps.take(frames):

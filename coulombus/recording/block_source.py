@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -74,9 +75,10 @@ class Blocks(Source):
         window, is_searched = self._window(), self._is_searched()
         match = self._match()
         row = 0
-        for capture in map(match.take, captures(self.path, window if is_searched else ALL)):
-            if epoch_ns is None and len(capture.frames):
-                epoch_ns = epoch_of(capture.frames)
+        for stretch in captures(self.path, window if is_searched else ALL):
+            if epoch_ns is None and len(stretch.frames):  # of any bus: all buses of a file have one time 0
+                epoch_ns = epoch_of(stretch.frames)
+            capture = match.take(stretch)
             for part, begin, is_wanted in _parts(capture, window):
                 if is_searched and not is_wanted:
                     continue
@@ -102,7 +104,7 @@ class Blocks(Source):
         """Return the span in stamps."""
         if self.span == WHOLE:
             return ALL
-        stamps = (capture.frames for capture in map(self._match().take, captures(self.path)) if len(capture.frames))
+        stamps = (capture.frames for capture in captures(self.path) if len(capture.frames))
         epoch_ns = next(map(epoch_of, stamps), 0)
         begin, end = self.span
         return Window(
@@ -130,16 +132,18 @@ class Blocks(Source):
         """
         if self.span != WHOLE or self.axis:
             return super().extent()
-        firsts = (capture for capture in map(self._match().take, captures(self.path)) if len(capture.frames))
+        firsts = (capture for capture in captures(self.path) if len(capture.frames))
         first = next(firsts, None)
         if first is None:
             return None
         epoch_ns, times = epoch_of(first.frames), list[int]()
-        for part in (first, *map(self._match().take, captures(self.path, Window(begin_ns=LATEST_NS)))):
+        mine = (capture for capture in map(self._match().take, captures(self.path)) if len(capture.frames))
+        ends = map(self._match().take, captures(self.path, Window(begin_ns=LATEST_NS)))
+        for part in (*itertools.islice(mine, 1), *ends):
             if len(part.frames):
                 times += part.frames["t_ns"][[0, -1]].tolist()
                 times = [min(times), max(times)]
-        return (times[0] - epoch_ns) / 1e9, (times[1] - epoch_ns) / 1e9
+        return ((times[0] - epoch_ns) / 1e9, (times[1] - epoch_ns) / 1e9) if times else None
 
     def seen_by(self, axis: str) -> Blocks:
         """Return the view of the axis of this name, with the signals' plain names.
@@ -201,8 +205,12 @@ def captures_of_bus(path: str | Path, channel: Channel, remarks: list[str]) -> I
         Counter[str](),
         0,
     )
+    origin_ns: int | None = None
     for stretch in captures(path):
         capture, of_bus = one_bus(stretch, texts)
+        if origin_ns is None and len(stretch.frames):
+            origin_ns = epoch_of(stretch.frames)
+        capture = replace(capture, origin_ns=origin_ns)
         frames += len(capture.frames)
         warnings += capture.warnings
         left_out.update(torn=capture.torn, skipped=capture.skipped)

@@ -114,6 +114,8 @@ class Capture:
     """The rig's bus of each `source` (`recording.bus_match`); None: the rig's only bus."""
     late: tuple[tuple[int, str], ...] = ()
     """Markers after which no frame follows: stamp like the frames', and text."""
+    origin_ns: int | None = None
+    """Time 0 of the file, which all its buses share; None: that of these frames."""
 
     def part(self, rows: npt.NDArray[np.bool_], inside: npt.NDArray[np.bool_]) -> Capture:
         """Return the content with some of the frames, and of those of the host's telemetry; comments of others are left out."""

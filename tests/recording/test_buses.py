@@ -10,11 +10,14 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
+from coulombus.explain.explained import explain
 from coulombus.lab.replay.player import load_tape
 from coulombus.lab.simulate import simulate
+from coulombus.monitor.decode import bare_rows
 from coulombus.recording.bus_match import ChannelError
 from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
@@ -276,3 +279,13 @@ def test_a_line_names_the_first_of_many_buses_and_the_begin_of_each(tmp_path):
     assert len(remarks) == 11
     assert remarks[-1] == f"{path}: 1989 frames of 1989 further buses were left out"
     assert max(map(len, remarks)) - len(str(path)) < 200
+
+
+def test_all_buses_of_a_log_have_one_time_zero(tmp_path):
+    path = tmp_path / "two.log"
+    path.write_text(
+        "(1700000000.0) can0 701#05\n(1700000005.0) can1 702#05\n(1700000005.5) can1 702#05\n(1700000006.0) can0 701#05\n"
+    )
+    told = explain(path, channel="can1")
+    assert told.at_s(told.end_ns) == 5.5
+    assert [row["t_s"] for row in bare_rows(path, "can1", EdsFiles(), [])] == [5.0, 5.5]
