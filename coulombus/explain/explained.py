@@ -130,7 +130,7 @@ class Explainer:
         self._axis = StraightTimes()
         self._epoch_ns = epoch_ns
         self._shown: dict[int, tuple[int, int, bytes]] = {}
-        self._rows: set[int] = set()
+        self._recent: list[Block] = []
         self._late: list[tuple[int, str]] = []
 
     def take(
@@ -230,14 +230,17 @@ class Explainer:
         self._keep(block)
 
     def _keep(self, block: Block) -> None:
-        """Keep the frames referenced by clues."""
-        first, behind = block.first_row, block.first_row + len(block.t_ns)
-        for clue in self.bus.clues.all[-200:]:
-            for row in clue.rows:
-                if first <= row < behind and row not in self._shown:
-                    frame = block.frames[row - first]
-                    data = data_bytes(int(frame["word"]), int(frame["length"]))
-                    self._shown[row] = (int(frame["t_ns"]), int(frame["can_id"]), data)
+        """Keep the frames referenced by clues; they may be of blocks before."""
+        self._recent.append(block)
+        while sum(len(recent.t_ns) for recent in self._recent[1:]) > BLOCK:
+            del self._recent[0]
+        rows = {row for clue in self.bus.clues.all[-200:] for row in clue.rows} - self._shown.keys()
+        for recent in self._recent if rows else ():
+            first = recent.first_row
+            for row in [row for row in rows if first <= row < first + len(recent.t_ns)]:
+                frame = recent.frames[row - first]
+                data = data_bytes(int(frame["word"]), int(frame["length"]))
+                self._shown[row] = (int(frame["t_ns"]), int(frame["can_id"]), data)
 
     def _is_well(self, number: int, incidents: tuple[Incident, ...]) -> bool:
         """Return whether no incident concerns a node."""
