@@ -192,7 +192,7 @@ def heartbeat_off(machine: Machine, node: int) -> Truth:
     """Somebody writes 0 to 1017h: the heartbeat ends, the PDOs go on."""
     machine.write(node, 0x1017, 0, 0, 2)
     machine.run(REST_MS)
-    return truth_of("heartbeat_lost", node, "unresolved", "node")
+    return truth_of("heartbeat_lost", node, "unresolved", "client node")
 
 
 def drive_fault(machine: Machine, node: int) -> Truth:

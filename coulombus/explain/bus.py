@@ -100,6 +100,10 @@ class Bus:
         self.host_runs = False  # whether a host of this project has begun its cycle, and not ended
         self.canopen = 0  # frames that occur only in CANopen
         self.stale = True
+        self.beats_changed = False
+        """Whether a write of 1017h changed when heartbeats are due."""
+        self.power: dict[int, list[tuple[int, int]]] = {}
+        """Number of a node's axes in Operation Enabled, from each time [ns] of a change."""
         self.sync_period_ns = 0
         """Period of SYNC [ns]; 0 until it is learned."""
         self.sync_since_ns = 1 << 62
@@ -225,6 +229,12 @@ class Bus:
         """Return whether the last NMT command to a node before this time was not a start."""
         order = self.ordered(number, -1, before_ns)
         return order is not None and order.command != NmtCommand.START
+
+    def is_disarmed(self, number: int, t_ns: int) -> bool:
+        """Return whether a node's drive is known not to be in Operation Enabled at a time [ns]."""
+        changes = self.power.get(number, [])
+        place = bisect.bisect_right(changes, t_ns, key=lambda change: change[0])
+        return place > 0 and changes[place - 1][1] == 0
 
     def order_due_ns(self, stop_ns: int, at_once_ns: int) -> int:
         """Return the time [ns] until which an NMT command explains that cyclic frames stop:

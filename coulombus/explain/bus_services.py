@@ -47,7 +47,7 @@ class Services:
             due = self._times[-1] + self._period_ns
             self.clues.begin("time_lost", None, self._times[-1], text, row=self._row, due_ns=due)
         sync = self.bus.first_of.get(SYNC)
-        if sync is not None and self._due_ns and t_ns > sync + EMPTY_NS:
+        if self._due_ns and (sync is not None or any(known.synchronous for known in self.bus.maps.values())):
             self._empty(sync, t_ns)
 
     def _time(self, row: int, t_ns: int) -> None:
@@ -63,15 +63,15 @@ class Services:
             what, why = service.name.lower().replace("_", " "), lss_result(service, data[1], data[2])
             self.clues.begin("lss_refused", None, t_ns, f"LSS {what} is refused: {why}", row=row, subject=data[0])
 
-    def _empty(self, sync_ns: int, t_ns: int) -> None:
-        """Note a bus with SYNC and OPERATIONAL nodes, and without a PDO."""
+    def _empty(self, sync_ns: int | None, t_ns: int) -> None:
+        """Note a bus with OPERATIONAL nodes and SYNC, or with PDOs that follow SYNC, and without a PDO."""
         pdos = [first for key, first in self.bus.first_of.items() if key in PDOS]
         starts = [
             (since_ns, node)
             for node in self.bus.nodes.values()
             if not self.bus.is_host(node.number, t_ns) and (since_ns := node.since(NmtState.OPERATIONAL)) >= 0
         ]
-        due_ns = max(sync_ns, min((since_ns for since_ns, _ in starts), default=t_ns)) + EMPTY_NS
+        due_ns = max(sync_ns or 0, min((since_ns for since_ns, _ in starts), default=t_ns)) + EMPTY_NS
         if pdos and min(pdos) <= due_ns:
             self._due_ns = 0  # there are PDOs
         elif t_ns > due_ns:
@@ -79,5 +79,7 @@ class Services:
             there = [node.number for _, node in starts if node.state_at(due_ns) == NmtState.OPERATIONAL]
             number = there[0] if len(there) == 1 else None
             text = f"OPERATIONAL beside SYNC for {EMPTY_NS / 1e9:g} s, and not one PDO"
+            if sync_ns is None:
+                text = f"OPERATIONAL for {EMPTY_NS / 1e9:g} s: its PDOs follow SYNC, and no SYNC comes"
             if there:
                 self.clues.begin("no_pdo", number, due_ns - EMPTY_NS, text, due_ns=due_ns)

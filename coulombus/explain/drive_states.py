@@ -135,6 +135,8 @@ class Drives:
         before, drive.state = drive.state, state
         if state == before or state < 0:
             return
+        own = sum(a.state == PowerState.OPERATION_ENABLED for (n, _), a in self._axes.items() if n == node)
+        self.bus.power.setdefault(node, []).append((t_ns, own))
         number = sum(axis.state == PowerState.OPERATION_ENABLED for axis in self._axes.values())
         if not self.bus.powered or self.bus.powered[-1][1] != number:
             self.bus.powered.append((t_ns, number))

@@ -177,7 +177,8 @@ class DriveValues:
 
     def _shown(self, node: int, axis: int) -> int:
         known = self.bus.nodes.get(node)
-        return known.objects.get((0x6061 + 0x800 * axis, 0), -1) if known is not None else -1
+        written = known.objects.get((0x6060 + 0x800 * axis, 0), -1) if known is not None else -1
+        return known.objects.get((0x6061 + 0x800 * axis, 0), written) if known is not None else -1
 
     def _held(self, kind: str, node: int, axis: int, group: Frames, holds: Holds, least_ns: int, text: str) -> None:
         """Note periods in which a condition holds for long enough."""

@@ -37,8 +37,9 @@ CLIENT = frozenset(
 AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
 FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
 """Kinds with consequences at every node."""
-PROOFS, PROOF_NS = frozenset({"duplicate_node", "second_master"}), 5 * S
+PROOFS, PROOF_NS = frozenset({"duplicate_node", "second_master", "not_hearing"}), 5 * S
 """Kinds that explain an incident though its first sign comes earlier, by this time at most."""
+AWAY = frozenset({"node_lost", "restarted", "not_hearing"})
 APART = frozenset({"time_lost", "lss_refused"})
 """Kinds that neither cause nor follow from others."""
 ABSENCES = frozenset(
@@ -92,6 +93,10 @@ class Incident:
         early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= known + PROOF_NS]
         early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
         root = max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
+        if root.kind == "ordered_away":  # a node that was gone before is not ordered away
+            root = next(
+                (c for c in early if c.kind in AWAY and c.node == root.node and c.begin_ns <= root.begin_ns), root
+            )
         if root.kind == "bus_off":  # what floods the bus drives controllers off
             root = next((clue for clue in early if clue.kind == "babble" and clue.begin_ns <= root.begin_ns), root)
         if root.kind in ABSENCES:  # what destroys frames silences nodes
@@ -271,6 +276,8 @@ def _explains(incident: Incident, clue: Clue) -> bool:
 def _sdo(incident: Incident, root: Clue, clue: Clue) -> bool:
     if root.node != clue.node:
         return root.kind in ("bus_silent", "bus_off", "no_ack", "error_frames", "babble") and clue.kind == "sdo_timeout"
+    if clue.kind == "not_hearing":
+        return root.kind == "sdo_timeout"
     if root.kind in SDO:
         return root.kind == clue.kind or root.kind in CLIENT or clue.kind in (*CLIENT, "sdo_timeout", "not_applied")
     return root.kind in GONE or root.kind == "mode_refused"

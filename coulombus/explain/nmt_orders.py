@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import Bus, Order
 from coulombus.explain.frames import Block, Frames, Integers
 
@@ -14,6 +16,9 @@ WORKS_NS = 50_000_000
 """A master that still sends set-points so long after its own command would not have meant it."""
 AT_WORK_NS = 1_000_000_000
 """Time after a set-point within which its node is at work."""
+NEVER = 1 << 62
+FORGOTTEN_NS = 2_000_000_000
+"""Time after the start of other nodes within which a node with set-points is started, too."""
 RPDOS = range(0x200, 0x580)
 NONE = np.zeros(0, np.int64)
 LEAST = 5
@@ -46,11 +51,36 @@ class Orders:
                     self.clues.end("ordered_away", node, order.t_ns, "it is started again")
                     continue
                 last_ns = int(t_ns[place - 1]) if place else self._last_ns.get(node, -AT_WORK_NS)
-                if order.t_ns - last_ns < AT_WORK_NS:
+                if order.t_ns - last_ns < AT_WORK_NS and self._is_at_work(node, order.t_ns):
                     self._pending.setdefault(node, (order, 0))
         for node, (rows, t_ns) in set_points.items():
             self._follow(node, rows, t_ns)
+            self._forgotten(node, t_ns)
             self._last_ns[node], self._last_row[node] = int(t_ns[-1]), int(rows[-1])
+
+    def _is_at_work(self, number: int, t_ns: int) -> bool:
+        """Return whether a node is OPERATIONAL at a time [ns], as far as it says, and its drive is not disarmed."""
+        node = self.bus.nodes.get(number)
+        if node is None or self.bus.is_disarmed(number, t_ns):
+            return False
+        return node.state_at(t_ns) in (NmtState.OPERATIONAL, -1)
+
+    def _forgotten(self, number: int, t_ns: Integers) -> None:
+        """Note a node that gets set-points, and that no command starts while others are started."""
+        node = self.bus.nodes.get(number)
+        started = [o.t_ns for o in self.bus.orders if o.command == NmtCommand.START and not o.concerns(number)]
+        if node is None or not started or self.clues.stands("not_started", number):
+            return
+        for (since_ns, state), (until_ns, _) in pairwise([*node.states, (NEVER, -1)]):
+            due_ns = max(since_ns, started[0]) + FORGOTTEN_NS
+            place = int(t_ns.searchsorted(due_ns))
+            if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] >= until_ns:
+                continue
+            if self.bus.ordered(number, started[0], int(t_ns[place])) is None:
+                text = "set-points come to it, and no command starts it: it stays PRE-OPERATIONAL"
+                clue = self.clues.begin("not_started", number, since_ns, text, due_ns=due_ns)
+                clue.who = "host"
+                return
 
     def _set_points(self, block: Block) -> dict[int, tuple[Integers, Integers]]:
         """Return rows and times of all RPDOs of each node: by its map, else by the identifier."""
@@ -77,6 +107,9 @@ class Orders:
         number = count + 1 + np.arange(len(t_ns))
         late = np.flatnonzero((t_ns - order.t_ns >= WORKS_NS) & (number >= LEAST))
         ended = 0 <= self.bus.safe_ns <= order.t_ns
+        node_then = self.bus.nodes.get(node)
+        if node_then is not None:
+            late = late[node_then.states_at(t_ns[late]) != NmtState.OPERATIONAL]  # else it does not obey
         if len(late) and not ended and not self.clues.stands("ordered_away", node):
             words = NmtCommand(order.command).name.lower().replace("_", " ")
             text = f"NMT {words}, and set-points still come {(int(t_ns[late[0]]) - order.t_ns) / 1e6:.0f} ms later"

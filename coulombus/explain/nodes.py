@@ -111,6 +111,9 @@ class Nodes:
 
     def look(self, block: Block | None, t_ns: int) -> None:
         """Note what became overdue before a time [ns], in the order in which it did."""
+        if self.bus.beats_changed:
+            self.bus.beats_changed = False
+            self._next_ns = min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
         while self._next_ns < t_ns:
             at_ns = self._next_ns
             due = [(self._due_ns(node), node.number) for node in self.bus.nodes.values()]
@@ -177,10 +180,13 @@ class Nodes:
         return f"the last heartbeat was due after {node.period_ns / 1e6:g} ms"
 
     def _said_goodbye(self, node: SeenNode) -> bool:
-        """Return whether it is a host whose last NMT command before its silence was not a start: an orderly end."""
+        """Return whether it is a host that had started nodes, and commanded all of them away before its silence."""
         until_ns = node.heartbeat_ns + round(LOST * node.period_ns)
-        last = next((order for order in reversed(self.bus.orders) if order.t_ns <= until_ns), None)
-        return last is not None and last.command != NmtCommand.START and self.bus.is_host(node.number, until_ns)
+        others = [n for n in self.bus.nodes if n != node.number and self.bus.present(n, until_ns)]
+        started = any(order.command == NmtCommand.START and order.t_ns <= until_ns for order in self.bus.orders)
+        started |= any(self.bus.nodes[n].was(NmtState.OPERATIONAL, until_ns) for n in others)
+        left = [self.bus.left_on_order(n, until_ns) for n in others]
+        return bool(left) and all(left) and started and self.bus.is_host(node.number, until_ns)
 
     def _order(self, row: int, t_ns: int, word: int, length: int) -> None:
         if length != 2 or word & 0xFF not in list(NmtCommand):
@@ -233,6 +239,7 @@ class Nodes:
             self.clues.end(kind, node.number, t_ns, "it boots")
         for kind in ("left_operational", "not_hearing"):
             self.clues.end(kind, node.number, t_ns, "it boots")
+        self.clues.end_all("emcy", node.number, t_ns, "it boots")
         node.boots += 1
         node.booted_ns = t_ns
         node.enter(t_ns, NmtState.INITIALISING)

@@ -28,7 +28,7 @@ class PdoTimers:
         """Process a block."""
         for key, group in block.groups.items():
             known = self.bus.maps.get(key)
-            if known is None or known.synchronous is not False or not (known.event_ns or known.inhibit_ns):
+            if known is None or known.synchronous or not (known.event_ns or known.inhibit_ns):
                 continue
             self._hold(key, group, known)
             self._last_ns[key] = int(group.t_ns[-1])

@@ -16,7 +16,9 @@ TIMED = 15
 """Intervals of which the own period of a PDO is learned."""
 STOPPED = 5
 """Own periods after which a PDO has stopped."""
-BABBLE_NS, BABBLE = 300_000, 200
+EVEN_NS = 10_000_000_000
+"""Time of even intervals after which a PDO is cyclic whose contents were never repeated: what moves is sent so, too."""
+BABBLE_NS, BABBLE = 450_000, 200
 """Interval, and number among successive frames of an identifier, that are babble."""
 TWICE_NS, UNKNOWN_NS = MS, 200_000
 """Maximum interval of a frame that came twice; the same while the period of SYNC is unknown."""
@@ -136,8 +138,13 @@ class PdoTiming:
         some = np.sort(whole[: number * TIMED].reshape(number, TIMED), axis=1)
         low, median, high = some[:, 0], some[:, TIMED // 2], some[:, -1]
         repeated = np.concatenate(([0], np.cumsum(equal)))[TIMED * (np.arange(number) + 1) - before] + pdo.equal
-        timed = (high - low < 2 * STEADY * median) | (repeated >= EQUAL) | (pdo.synchronous is False)
+        narrow = high - low < 2 * STEADY * median
+        so_far = np.cumsum(some.sum(axis=1))
+        broken = np.maximum.accumulate(np.where(narrow, -pdo.even_ns, so_far)) if number else so_far
+        lasts = so_far - broken
+        timed = (narrow & (lasts >= EVEN_NS)) | (repeated >= EQUAL) | (pdo.synchronous is False)
         shown = np.flatnonzero((high < 1.5 * median) & (low > 0.5 * median) & timed)
+        pdo.even_ns = int(lasts[-1]) if number else pdo.even_ns
         pdo.gaps = [] if len(shown) else whole[number * TIMED :].tolist()
         pdo.period_ns = int(median[shown[0]]) if len(shown) else 0
         return TIMED * (int(shown[0]) + 1) - before if len(shown) else len(gaps)

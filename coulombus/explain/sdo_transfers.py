@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from coulombus.eds import sdo_forms as forms
-from coulombus.eds.cia301 import Abort, abort_text
+from coulombus.eds.cia301 import Abort, NmtState, abort_text
 from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_channel import NO_BEGINNING, SdoChannel
 from coulombus.eds.sdo_frames import where
@@ -33,6 +33,8 @@ SCAN = 8
 """Number of unanswered node ids that make a scan."""
 FEW = 3
 STRAY = "it sends answers that no client waits for"
+OVERLAP_NS = 100_000_000
+"""Time after a request within which another one does not wait for its answer."""
 IN_A_ROW = 3
 """Unanswered requests in a row to a node whose heartbeats go on: it does not hear."""
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
@@ -173,7 +175,7 @@ class SdoTransfers:
                     before.repeated_ns = request.t_ns
                     server.extra += 1
                 return
-        request.overlaps = bool(server.waiting)
+        request.overlaps = any(request.t_ns - before.t_ns < OVERLAP_NS for before in server.waiting)
         if server.answered is not None and server.running is None:
             self.clues.end("sdo_not_taken", number, server.answer_ns, "the client took a later answer")
         if server.running is not None:
@@ -243,6 +245,12 @@ class SdoTransfers:
         if 0x6000 <= at[0] < 0xA000 or at[0] == 0x603F:
             self.bus.words.append((row, t_ns, number, at[0], value))
             self._mode(row, t_ns, number, server, at, value, request.writes)
+        if at == (0x1017, 0) and request.writes and value != node.objects.get(at):
+            if not value and node.period_ns and node.state_at(t_ns) == NmtState.OPERATIONAL:
+                text = "1017h was written with 0: its heartbeats end"
+                self.clues.begin("heartbeat_lost", number, t_ns, text, row=row).who = "client"
+            node.change_beat(t_ns, value * 1_000_000)
+            self.bus.beats_changed = True
         if at[0] == PROGRAM and request.writes:
             node.program_ns = t_ns
         if 0x1600 <= at[0] < 0x1800 or 0x1A00 <= at[0] < 0x1C00:

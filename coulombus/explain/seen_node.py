@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from coulombus.explain.frames import Integers
 from coulombus.recording.maps.seen_maps import MappedNode
 
 __all__ = ["SeenNode", "Spread"]
@@ -78,9 +79,25 @@ class SeenNode(MappedNode):
         place = bisect.bisect_right(self.states, t_ns, key=lambda change: change[0])
         return self.states[place - 1][1] if place else -1
 
+    def was(self, state: int, t_ns: int) -> bool:
+        """Return whether it was in a state before a time [ns]."""
+        return 0 <= self.since(state) <= t_ns
+
+    def states_at(self, t_ns: Integers) -> Integers:
+        """Return the NMT state at each of these times [ns], -1 if unknown."""
+        times = np.array([since for since, _ in self.states], np.int64)
+        states = np.array([-1, *(state for _, state in self.states)], np.int64)
+        return states[times.searchsorted(t_ns, "right")]
+
     def since(self, state: int) -> int:
         """Return the first time [ns] of a state, -1 if none."""
         return next((t_ns for t_ns, entered in self.states if entered == state), -1)
+
+    def change_beat(self, t_ns: int, period_ns: int) -> None:
+        """Wait for heartbeats of another period from a time [ns] on; 0: for none."""
+        self.heartbeat_ns = max(self.heartbeat_ns, t_ns) if period_ns and self.heartbeat_ns >= 0 else -1
+        self.period_ns, self.learned_ns = period_ns, t_ns
+        self.gaps.clear()
 
     def enter(self, t_ns: int, state: int) -> None:
         """Note the NMT state at a time [ns]."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.explain.bus import Bus
+from coulombus.explain.bus import ENDING_NS, Bus
 from coulombus.explain.frames import Frames, Integers, Rolling
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
@@ -16,12 +16,14 @@ __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
 MS, NEVER = 1_000_000, 1 << 62
 LEARN = 20
 """Frames of which the usual time after SYNC is learned."""
-ACTIVE, CHANCE, LONG = 3, 50, 200
+ACTIVE, CHANCE, LONG = 3, 50, 100
 """Successive SYNC intervals with one frame that show a synchronous PDO: if its type says so, if its type is unknown and
 its contents were repeated, and if only its time after SYNC is steady.
 """
 EQUAL, STEADY = 5, 0.1
 """Repeated contents that an event-driven PDO would not send; maximum spread, in periods, of a steady time after SYNC."""
+SHORT = 0.5
+"""Interval, in periods, between two SYNCs in which a PDO need not come."""
 GAP = 1.5
 """Interval, in SYNC periods, between two frames of a PDO of which none is missing."""
 MORE, WINDOW = 6, 50
@@ -80,6 +82,7 @@ class SeenPdo:
     # by its own period
     gaps: list[int] = field(default_factory=list)
     period_ns: int = 0
+    even_ns: int = 0  # time of even intervals so far
     excused: bool = False  # the present stop is explained, or noted
     stopped: str = ""  # kind of the clue of a stop
     # in excess
@@ -151,6 +154,7 @@ class SyncIntervals:
         carried: int,
     ) -> None:
         """Process runs of intervals with no frame, one frame, and more."""
+        counts = np.where((counts == 0) & (np.diff(edges) < SHORT * self.bus.sync_period_ns), 1, counts)
         starts = np.flatnonzero(np.diff(np.minimum(counts, 2), prepend=-1))
         ends = np.append(starts[1:], len(counts))
         if not pdo.regular and pdo.missing_ns < 0:
@@ -202,7 +206,7 @@ class SyncIntervals:
         if t_ns - empty.last_ns <= GAP * max(self.bus.sync_period_ns, empty.until_ns - empty.begin_ns):
             return
         pdo.empty = None
-        if self._excused(pdo.node, min(empty.begin_ns + self._at_once_ns, t_ns)):
+        if self._excused(pdo.node, min(empty.begin_ns + self._hold_ns(pdo, empty.begin_ns), t_ns)):
             pdo.regular, pdo.missing = False, 0
             pdo.spans[-1][1] = empty.begin_ns
             return
@@ -236,6 +240,11 @@ class SyncIntervals:
         """Time after its begin within which an NMT command explains that a PDO is missing, while SYNC goes on."""
         return max(3 * self.bus.sync_period_ns, 20 * MS)
 
+    def _hold_ns(self, pdo: SeenPdo, begin: int) -> int:
+        """Return the time within which a command explains that a PDO is missing: longer while its drive is disarmed."""
+        disarmed = pdo.node is not None and self.bus.is_disarmed(pdo.node, begin)
+        return max(self._at_once_ns, ENDING_NS if disarmed else 0)
+
     def _excused(self, node: int | None, until_ns: int) -> bool:
         """Return whether NMT commands until a time [ns] explain that a PDO stops."""
         return node is None or self.bus.left_on_order(node, until_ns)
@@ -244,7 +253,7 @@ class SyncIntervals:
         """Note a stop that no NMT command explained in time."""
         assert pdo.held is not None
         begin, row = pdo.held
-        due_ns = begin + self._at_once_ns
+        due_ns = begin + self._hold_ns(pdo, begin)
         if self._excused(pdo.node, min(due_ns, t_ns)):
             pdo.held, pdo.regular, pdo.missing_ns = None, False, -1
             pdo.usual_ns, pdo.learned = -1.0, []

@@ -269,7 +269,7 @@ def rpdo_late():
 def pdo_stopped():
     log = machine(3)
     for ms in range(60, 1000, 10):
-        log.add(ms, 0x283, bytes((ms % 7,)))
+        log.add(ms, 0x283, bytes((ms // 20 % 7,)))
     return log
 
 

@@ -189,7 +189,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
     usual = DEFAULTS.get(node.device_type & 0xFFFF, {}).get(direction, {})
     if not fields and number in usual and count is None:
         fields, source = _fields(list(usual[number])), "assumed"
-    if not fields and cob_id is None:
+    if not fields and cob_id is None and not any((communication, sub) in objects for sub in (2, 3, 5)):
         return None
     if cob_id is None:
         cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
