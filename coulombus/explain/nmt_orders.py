@@ -36,6 +36,8 @@ class Orders:
         self._last_ns: dict[int, int] = {}
         self._last_row: dict[int, int] = {}
         """By node, time and row of the last set-point."""
+        self._told: set[tuple[int, int]] = set()
+        """Nodes that nobody starts, and since when they are PRE-OPERATIONAL [ns]."""
 
     def take(self, block: Block) -> None:
         """Process a block."""
@@ -61,9 +63,8 @@ class Orders:
     def _is_at_work(self, number: int, t_ns: int) -> bool:
         """Return whether a node is OPERATIONAL at a time [ns], as far as it says, and its drive is not disarmed."""
         node = self.bus.nodes.get(number)
-        if node is None or self.bus.is_disarmed(number, t_ns):
-            return False
-        return node.state_at(t_ns) in (NmtState.OPERATIONAL, -1)
+        state = -1 if node is None else node.state_at(t_ns)
+        return state in (NmtState.OPERATIONAL, -1) and not self.bus.is_disarmed(number, t_ns)
 
     def _forgotten(self, number: int, t_ns: Integers) -> None:
         """Note a node that gets set-points, and that no command starts while others are started."""
@@ -76,10 +77,15 @@ class Orders:
             place = int(t_ns.searchsorted(due_ns))
             if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] >= until_ns:
                 continue
-            if self.bus.ordered(number, started[0], int(t_ns[place])) is None:
+            told = (number, since_ns) in self._told
+            if not told and self.bus.ordered(number, started[0], int(t_ns[place])) is None:
+                self._told.add((number, since_ns))
                 text = "set-points come to it, and no command starts it: it stays PRE-OPERATIONAL"
                 clue = self.clues.begin("not_started", number, since_ns, text, due_ns=due_ns)
                 clue.who = "host"
+                later = next((t for t, then in node.states if t >= until_ns and then == NmtState.OPERATIONAL), None)
+                if later is not None:
+                    self.clues.end("not_started", number, later, "it is OPERATIONAL")
                 return
 
     def _set_points(self, block: Block) -> dict[int, tuple[Integers, Integers]]:
