@@ -114,17 +114,9 @@ class Explainer:
         self._load = BusLoad(self.bus)
         self._disturbances, self._services = Disturbances(self.bus), Services(self.bus)
         self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
-        self._others = (
-            *(self._host, Orders(self.bus), self._disturbances, self._services, self._load),
-            *(
-                self._drives,
-                self._sync,
-                self._pdos,
-                PdoTimers(self.bus),
-                Lengths(self.bus),
-                DriveValues(self.bus),
-                self._identifiers,
-            ),
+        self._others = (  # drives first: others ask whether a drive is enabled
+            *(self._host, self._drives, Orders(self.bus), self._disturbances, self._services, self._load),
+            *(self._sync, self._pdos, PdoTimers(self.bus), Lengths(self.bus), DriveValues(self.bus), self._identifiers),
         )
         self._span = span
         self._axis = StraightTimes()
