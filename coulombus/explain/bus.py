@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
@@ -14,7 +14,7 @@ from coulombus.explain.clues import Clues
 from coulombus.explain.frames import REMOTE, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
-from coulombus.recording.maps.seen_maps import Map, identified, maps_of
+from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of
 
 __all__ = ["Bus", "Order", "Silence", "product"]
 
@@ -256,11 +256,13 @@ class Bus:
                 self.descriptions[number] = description
                 self.names.setdefault(number, product(description))
             maps = maps_of(self.nodes, self.descriptions, self.fixed)
-            self.maps = {
-                key: known
-                for key, known in maps.items()
-                if known.source != "assumed" or known.node not in self.contradicted | self.configured
-            }
+            unknown = self.contradicted | self.configured
+            self.maps = {}
+            for key, known in maps.items():
+                if known.source != "assumed" or known.node not in unknown:
+                    self.maps[key] = known
+                elif known.synchronous is not None or known.event_ns or known.inhibit_ns:  # type and times were seen
+                    self.maps[key] = replace(known, fields=(), source=SEEN)
 
     def doubt(self, block: Block) -> None:
         """Drop the assumed maps of a node whose PDOs have another length, or a word that is no statusword."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
 from coulombus.explain.frames import SYNC, Block, Frames, Integers
 from coulombus.explain.sync_intervals import EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
@@ -18,6 +18,8 @@ STOPPED = 5
 """Own periods after which a PDO has stopped."""
 EVEN_NS = 10_000_000_000
 """Time of even intervals after which a PDO is cyclic whose contents were never repeated: what moves is sent so, too."""
+ALWAYS_NS = 1_000_000_000
+"""The same of a PDO that came at even intervals since its node is at work; time until its first frame."""
 BABBLE_NS, BABBLE = 450_000, 200
 """Interval, and number among successive frames of an identifier, that are babble."""
 TWICE_NS, UNKNOWN_NS = MS, 200_000
@@ -78,7 +80,7 @@ class PdoTiming:
         """Set node, name and type by the present map, else by the identifier."""
         if known is not None:
             pdo.node, pdo.name, pdo.sends = known.node, known.name, known.direction == "tpdo"
-            pdo.synchronous = known.synchronous
+            pdo.synchronous, pdo.event_ns = known.synchronous, known.event_ns
         else:
             pdo.node, pdo.name, pdo.sends = pdo.key & 0x7F or None, f"PDO {pdo.key:03X}h", bool(pdo.key & 0x080)
 
@@ -142,12 +144,22 @@ class PdoTiming:
         so_far = np.cumsum(some.sum(axis=1))
         broken = np.maximum.accumulate(np.where(narrow, -pdo.even_ns, so_far)) if number else so_far
         lasts = so_far - broken
-        timed = (narrow & (lasts >= EVEN_NS)) | (repeated >= EQUAL) | (pdo.synchronous is False)
+        whole_time = so_far + pdo.watched_ns  # since its first frame
+        always = (lasts == whole_time) & (lasts >= ALWAYS_NS) & self._began_at_once(pdo)
+        timed = (narrow & ((lasts >= EVEN_NS) | always)) | (repeated >= EQUAL) | (pdo.synchronous is False)
+        timed |= pdo.event_ns > 0
         shown = np.flatnonzero((high < 1.5 * median) & (low > 0.5 * median) & timed)
-        pdo.even_ns = int(lasts[-1]) if number else pdo.even_ns
+        if number:
+            pdo.even_ns, pdo.watched_ns = int(lasts[-1]), int(whole_time[-1])
         pdo.gaps = [] if len(shown) else whole[number * TIMED :].tolist()
         pdo.period_ns = int(median[shown[0]]) if len(shown) else 0
         return TIMED * (int(shown[0]) + 1) - before if len(shown) else len(gaps)
+
+    def _began_at_once(self, pdo: SeenPdo) -> bool:
+        """Return whether a PDO came since the log's begin, or since its node was started: a timer sends it."""
+        first = self.bus.first_of.get(pdo.key, self.bus.first_ns)
+        started = pdo.node is not None and self.bus.ordered(pdo.node, first - ALWAYS_NS, first, NmtState.OPERATIONAL)
+        return first - self.bus.first_ns < ALWAYS_NS or bool(started)
 
     def _stopped(self, pdo: SeenPdo, begin: int, row: int, t_ns: int) -> None:
         """Note a stop that is overdue at a time [ns]."""

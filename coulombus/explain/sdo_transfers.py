@@ -246,7 +246,8 @@ class SdoTransfers:
             self.bus.words.append((row, t_ns, number, at[0], value))
             self._mode(row, t_ns, number, server, at, value, request.writes)
         if at == (0x1017, 0) and request.writes and value != node.objects.get(at):
-            if not value and node.period_ns and node.state_at(t_ns) == NmtState.OPERATIONAL:
+            at_work = node.state_at(t_ns) == NmtState.OPERATIONAL and not self.bus.left_on_order(number, t_ns)
+            if not value and node.period_ns and at_work:
                 text = "1017h was written with 0: its heartbeats end"
                 self.clues.begin("heartbeat_lost", number, t_ns, text, row=row).who = "client"
             node.change_beat(t_ns, value * 1_000_000)

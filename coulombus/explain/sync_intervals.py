@@ -82,7 +82,9 @@ class SeenPdo:
     # by its own period
     gaps: list[int] = field(default_factory=list)
     period_ns: int = 0
-    even_ns: int = 0  # time of even intervals so far
+    even_ns: int = 0  # time of even intervals, up to the last one
+    watched_ns: int = 0  # time since its first frame, up to the same one
+    event_ns: int = 0  # its event timer
     excused: bool = False  # the present stop is explained, or noted
     stopped: str = ""  # kind of the clue of a stop
     # in excess

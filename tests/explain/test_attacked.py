@@ -99,7 +99,7 @@ def test_an_emergency_ends_when_its_node_boots():
 
 def test_a_timer_of_a_pdo_without_a_map_is_watched():
     log = machine(3, until=5000).ask(3, 20, "2b001803f4010000", "6000180300000000")
-    for k in range(200):
+    for k in range(326):
         log.add(100 + 15 * k, 0x183, (k % 250).to_bytes(2, "little"))
     assert kinds(log.explained()) == ["inhibit_time"]
 
@@ -109,3 +109,17 @@ def test_bit_12_counts_in_a_mode_that_was_written_and_not_mapped():
     for ms in np.arange(70, 3000, 10):
         log.add(ms, 0x185, (0x1637 if ms < 1500 else 0x0637).to_bytes(2, "little"))
     assert only(log.explained()).root.kind == "setpoint_ignored"
+
+
+def test_a_sensor_that_sends_at_even_intervals_from_the_begin_and_stops_is_told():
+    log = machine(3, until=6000)
+    for ms in np.arange(70, 4000, 20):
+        log.add(ms, 0x283, int(ms * 7).to_bytes(4, "little"))
+    assert kinds(log.explained()) == ["pdo_stopped"]
+
+
+def test_a_pdo_with_an_event_timer_that_stops_is_told():
+    log = machine(3, until=6000).ask(3, 20, "2b00180514000000", "6000180500000000")
+    for ms in np.arange(2000, 4000, 20):
+        log.add(ms, 0x183, int(ms * 7).to_bytes(4, "little"))
+    assert kinds(log.explained()) == ["pdo_stopped"]

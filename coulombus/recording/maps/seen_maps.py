@@ -12,8 +12,10 @@ from coulombus.eds.eds_folder import fitting
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PdoLayout, read_layout
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Field", "Map", "MappedNode", "Objects", "identified", "maps_of", "maps_of_rig"]
+__all__ = ["SEEN", "Field", "Map", "MappedNode", "Objects", "identified", "maps_of", "maps_of_rig"]
 
+SEEN = "SDO seen in the log"
+"""Source of a map that SDO transfers of the log have."""
 PDOS = 8
 BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
 Maps: TypeAlias = Mapping[str, Mapping[int, tuple[int, ...]]]
@@ -166,7 +168,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
     event_ns = objects.get((communication, 5), 0) * 1_000_000 if sends else 0
     inhibit_ns = objects.get((communication, 3), 0) * 100_000 if sends else 0
     fields: tuple[Field, ...] = ()
-    source = "SDO seen in the log"
+    source = SEEN
     count = objects.get((mapping, 0))
     words = [objects.get((mapping, sub)) for sub in range(1, (count or 0) + 1)] if (count or 0) <= 64 else []
     seen = [word for word in words if word is not None]
