@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,8 @@ from coulombus.wire.frame import Records, data_bytes
 
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 
+AT_ONCE_NS = 100_000_000
+"""Time within which losses of several nodes have one cause."""
 POLLED = 50
 """SDO transfers of a node that is polled."""
 OMITTED = "left out:"
@@ -179,7 +181,7 @@ class Explainer:
             epoch_ns=self._epoch_ns or 0,
             end_ns=self.bus.last_ns,
             frames=self.bus.frames,
-            remarks=(*remarks, *self._remarks()),
+            remarks=(*remarks, *self._remarks(), *_together(incidents)),
             whole=not any(OMITTED in remark for remark in remarks),
             shown=dict(self._shown),
             bus=self.bus,
@@ -290,6 +292,17 @@ class Explainer:
                 f"PDO maps of node {nodes} are assumed (the defaults of CiA 402 and 404): give --eds NODE=FILE to be sure"
             )
         return remarks
+
+
+def _together(incidents: tuple[Incident, ...]) -> Iterator[str]:
+    """Yield a remark for nodes that were lost or restarted at once: they share something."""
+    for kind, what in (("restarted", "restarted"), ("node_lost", "fell silent")):
+        roots = sorted((i.root for i in incidents if i.root.kind == kind), key=lambda clue: clue.begin_ns)
+        for first in range(len(roots)):
+            some = [clue for clue in roots if 0 <= clue.begin_ns - roots[first].begin_ns <= AT_ONCE_NS]
+            if len(some) > 1 and (first == 0 or roots[first].begin_ns - roots[first - 1].begin_ns > AT_ONCE_NS):
+                nodes = ", ".join(str(clue.node) for clue in some)
+                yield f"nodes {nodes} {what} within {AT_ONCE_NS // 1_000_000} ms: look at the supply and cable that they share"
 
 
 def explain(

@@ -227,3 +227,11 @@ def test_a_poll_in_turn_says_for_what_it_waits():
         log.ask(node, 100 + 1.2 * k, READ, ANSWER, after=1.0)
     (remark,) = log.explained().remarks
     assert remark.startswith("SDO asks 4 nodes in turn: a round waits 4 x 1 ms for answers, 83% of the time")
+
+
+def test_nodes_that_restart_at_once_share_something():
+    log = machine(3, 4, 5, until=2000)
+    for place, node in enumerate((3, 4, 5)):
+        log.boot(node, 2000 + 10 * place).beats(node, 2063 + place, 4000, state=0x7F)
+    (remark,) = log.explained().remarks
+    assert remark == "nodes 3, 4, 5 restarted within 100 ms: look at the supply and cable that they share"
