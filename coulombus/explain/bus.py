@@ -108,6 +108,10 @@ class Bus:
         """Period of SYNC [ns]; 0 until it is learned."""
         self.sync_since_ns = 1 << 62
         """The SYNC [ns] with which its period was learned."""
+        self.sync_written = False
+        """Whether a write of 1006h, which the next start of a node may put into force, was seen."""
+        self.relearn_sync = False
+        """Whether the period of SYNC may change from here on."""
         self.two_sync: list[tuple[int, int]] = []
         """Times [ns] within which two nodes produce SYNC, as known."""
         self.silences: list[Silence] = []
@@ -210,6 +214,10 @@ class Bus:
         alone = [n for n in self.nodes if self.present(n, t_ns) and self._only_beats(n, t_ns, commanded)]
         return bool(commanded) and alone == [number]
 
+    def only_beats(self, number: int, t_ns: int) -> bool:
+        """Return whether a node did nothing until a time [ns] but send heartbeats in OPERATIONAL."""
+        return self._only_beats(number, t_ns, {order.node for order in self.orders if order.t_ns <= t_ns})
+
     def _only_beats(self, number: int, t_ns: int, commanded: set[int]) -> bool:
         others = (
             REMOTE | HEARTBEAT + number,
@@ -244,6 +252,12 @@ class Bus:
         place = bisect.bisect_left(self.powered, (stop_ns + 1,)) - 1
         disarmed = place >= 0 and self.powered[place][1] == 0
         return stop_ns + max(at_once_ns, ENDING_NS if disarmed else 0)
+
+    def expect_sync(self, *, written: bool) -> None:
+        """Note that SYNC may get another period: 1006h is written, or a node is started after that."""
+        if written or self.sync_written:
+            self.sync_written = written
+            self.relearn_sync = self.stale = True
 
     def renew(self) -> None:
         """Rebuild the PDO maps from present knowledge."""

@@ -63,13 +63,18 @@ class Services:
             what, why = service.name.lower().replace("_", " "), lss_result(service, data[1], data[2])
             self.clues.begin("lss_refused", None, t_ns, f"LSS {what} is refused: {why}", row=row, subject=data[0])
 
+    def _is_started(self, number: int, t_ns: int) -> bool:
+        """Return whether a node was commanded to start: one that only sends heartbeats may be the host."""
+        started = self.bus.ordered(number, -1, t_ns, NmtState.OPERATIONAL) is not None
+        return started and not self.bus.is_host(number, t_ns) and not self.bus.only_beats(number, t_ns)
+
     def _empty(self, sync_ns: int | None, t_ns: int) -> None:
         """Note a bus with OPERATIONAL nodes and SYNC, or with PDOs that follow SYNC, and without a PDO."""
         pdos = [first for key, first in self.bus.first_of.items() if key in PDOS]
         starts = [
             (since_ns, node)
             for node in self.bus.nodes.values()
-            if not self.bus.is_host(node.number, t_ns) and (since_ns := node.since(NmtState.OPERATIONAL)) >= 0
+            if (since_ns := node.since(NmtState.OPERATIONAL)) >= 0 and self._is_started(node.number, t_ns)
         ]
         due_ns = max(sync_ns or 0, min((since_ns for since_ns, _ in starts), default=t_ns)) + EMPTY_NS
         if pdos and min(pdos) <= due_ns:

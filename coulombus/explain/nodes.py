@@ -194,6 +194,8 @@ class Nodes:
         self.bus.canopen += 1
         order = Order(t_ns, word & 0xFF, word >> 8 & 0x7F, row)
         self.bus.orders.append(order)
+        if order.command == NmtCommand.START:
+            self.bus.expect_sync(written=False)
         for node in self.bus.nodes.values():
             if not order.concerns(node.number) or node.first_ns > t_ns:
                 continue

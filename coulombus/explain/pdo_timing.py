@@ -12,6 +12,8 @@ from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTiming"]
 
+SHORT, NEVER = 0.5, 1 << 61
+"""Interval, in periods, between two SYNCs in which a PDO need not come."""
 TIMED = 15
 """Intervals of which the own period of a PDO is learned."""
 STOPPED = 5
@@ -37,14 +39,20 @@ class PdoTiming:
         self.bus, self.clues = bus, bus.clues
         self._pdos: dict[int, SeenPdo] = {}
         self._sync_ns = -1  # the last SYNC
+        self._raw_ns = -NEVER  # the same, if it followed too soon, too
+        self._since_ns = bus.sync_since_ns  # with which its period was learned
         self._intervals = SyncIntervals(bus)
 
     def take(self, block: Block) -> None:
         """Process a block."""
         if len(block.t_ns) == 0:
             return
+        if self.bus.sync_since_ns != self._since_ns:  # another period, or none
+            self._since_ns, self._sync_ns = self.bus.sync_since_ns, -1
+            for pdo in self._pdos.values():
+                pdo.open, pdo.streak, pdo.empty = 0, 0, None
         sync = block.groups.get(SYNC)
-        edges = NONE if sync is None else sync.t_ns
+        edges = NONE if sync is None else self._edges(sync.t_ns)
         if self._sync_ns >= 0:
             edges = np.concatenate(([self._sync_ns], edges))
         edges = edges[edges >= self.bus.sync_since_ns]
@@ -64,6 +72,13 @@ class PdoTiming:
         if len(edges):
             self._sync_ns = int(edges[-1])
         self.look(int(block.t_ns[-1]))
+
+    def _edges(self, sync_ns: Integers) -> Integers:
+        """Return the SYNCs but those that follow too soon: no PDO need come between them."""
+        gaps = np.diff(sync_ns, prepend=self._raw_ns)
+        self._raw_ns = int(sync_ns[-1])
+        edges: Integers = sync_ns[gaps >= SHORT * self.bus.sync_period_ns]
+        return edges
 
     def look(self, t_ns: int) -> None:
         """Note stops that are overdue at a time [ns]."""

@@ -252,6 +252,8 @@ class SdoTransfers:
                 self.clues.begin("heartbeat_lost", number, t_ns, text, row=row).who = "client"
             node.change_beat(t_ns, value * 1_000_000)
             self.bus.beats_changed = True
+        if at == (0x1006, 0) and request.writes and value and value * 1000 != self.bus.sync_period_ns:
+            self.bus.expect_sync(written=True)
         if at[0] == PROGRAM and request.writes:
             node.program_ns = t_ns
         if 0x1600 <= at[0] < 0x1800 or 0x1A00 <= at[0] < 0x1C00:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.explain.bus import ENDING_NS, Bus
+from coulombus.explain.bus import Bus
 from coulombus.explain.frames import Frames, Integers, Rolling
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
@@ -22,8 +22,8 @@ its contents were repeated, and if only its time after SYNC is steady.
 """
 EQUAL, STEADY = 5, 0.1
 """Repeated contents that an event-driven PDO would not send; maximum spread, in periods, of a steady time after SYNC."""
-SHORT = 0.5
-"""Interval, in periods, between two SYNCs in which a PDO need not come."""
+DISARMED_NS = 500_000_000
+"""Time within which a command explains that a PDO of a disarmed drive stops, while SYNC goes on."""
 GAP = 1.5
 """Interval, in SYNC periods, between two frames of a PDO of which none is missing."""
 MORE, WINDOW = 6, 50
@@ -156,7 +156,6 @@ class SyncIntervals:
         carried: int,
     ) -> None:
         """Process runs of intervals with no frame, one frame, and more."""
-        counts = np.where((counts == 0) & (np.diff(edges) < SHORT * self.bus.sync_period_ns), 1, counts)
         starts = np.flatnonzero(np.diff(np.minimum(counts, 2), prepend=-1))
         ends = np.append(starts[1:], len(counts))
         if not pdo.regular and pdo.missing_ns < 0:
@@ -245,7 +244,7 @@ class SyncIntervals:
     def _hold_ns(self, pdo: SeenPdo, begin: int) -> int:
         """Return the time within which a command explains that a PDO is missing: longer while its drive is disarmed."""
         disarmed = pdo.node is not None and self.bus.is_disarmed(pdo.node, begin)
-        return max(self._at_once_ns, ENDING_NS if disarmed else 0)
+        return max(self._at_once_ns, DISARMED_NS if disarmed else 0)
 
     def _excused(self, node: int | None, until_ns: int) -> bool:
         """Return whether NMT commands until a time [ns] explain that a PDO stops."""

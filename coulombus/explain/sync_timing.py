@@ -45,24 +45,33 @@ class SyncTiming:
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
+        self._doubled: list[int] = []  # begins [ns] of the times with two producers
+        self._heard_ns = -1  # the last frame of any node but the host
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin to learn the period."""
+        self.bus.sync_period_ns, self.bus.sync_since_ns, self.bus.relearn_sync = 0, NEVER, False
         self._learned: list[int] = []
         self._stop: _Stop | None = None  # since the last SYNC
-        self._heard_ns = -1  # the last frame of any node but the host
         self._uneven = Rolling(WINDOW)
         self._worst_ns = 0  # largest deviation from the period so far
         self._lead_ns = 0  # time by which the SYNCs so far lead their period
         self._leads = np.zeros(0, np.int64)  # this lead at the last intervals
         self._most_ns = 0  # its maximum before them
         self._near = Rolling(BEHIND)
-        self._doubled: list[int] = []  # begins [ns] of the times with two producers
         self._number = 0  # intervals so far
         self._close: tuple[int, int] | None = None  # time and row of the first SYNC of a series that follow too soon
         self._close_ns = self._close_number = -1  # time and interval of the last one
 
     def take(self, block: Block) -> None:
         """Process a block."""
-        if len(block.t_ns) == 0:
-            return
+        if len(block.t_ns):
+            self._process(block)
+        if self.bus.relearn_sync:  # by the last frame of this block
+            self._forget()
+
+    def _process(self, block: Block) -> None:
         sync = block.groups.get(SYNC)
         if sync is None:
             self.look(int(block.t_ns[-1]), block)

@@ -123,3 +123,10 @@ def test_a_pdo_with_an_event_timer_that_stops_is_told():
     for ms in np.arange(2000, 4000, 20):
         log.add(ms, 0x183, int(ms * 7).to_bytes(4, "little"))
     assert kinds(log.explained()) == ["pdo_stopped"]
+
+
+def test_sync_may_get_another_period():
+    log = machine(3, until=9000).synchronous(3, 20).cycles(60, 3000, (3,), period=10.0)
+    log.order(3000, PREOP).ask(3, 3010, "23061000204e0000", "6006100000000000").order(3100, 1)
+    log.cycles(3110, 9000, (3,), period=20.0)
+    assert log.explained().verdict == "ok"
