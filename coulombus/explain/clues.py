@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -55,6 +56,7 @@ class Clues:
     def __init__(self) -> None:
         self.all: list[Clue] = []
         self._last: dict[tuple[str, int | None, object], Clue] = {}
+        self._open: Counter[int | None] = Counter()  # open clues of each node
         self._number: dict[tuple[str, int | None, object], int] = {}
 
     def begin(
@@ -80,8 +82,10 @@ class Clues:
             clue = Clue(kind, node, t_ns, text, due_ns=due_ns, last_ns=t_ns, rows=[row] if row >= 0 else [])
             self.all.append(clue)
             self._last[key] = clue
+            self._open[node] += 1
             return clue
         clue.count += 1
+        self._open[node] += clue.end_ns is not None
         clue.end_ns, clue.last_ns = None, max(clue.last_ns, t_ns)
         if row >= 0 and len(clue.rows) < 6:
             clue.rows.append(row)
@@ -101,6 +105,7 @@ class Clues:
         """Note a momentary clue."""
         clue = self.begin(kind, node, t_ns, text, row=row, subject=subject)
         clue.count += count - 1
+        self._open[node] -= clue.end_ns is None
         clue.end_ns = clue.last_ns
         return clue
 
@@ -128,6 +133,7 @@ class Clues:
         clue = self._last.get((kind, node, subject))
         if clue is None or clue.end_ns is not None:
             return False
+        self._open[node] -= 1
         clue.end_ns, clue.end_text = max(t_ns, clue.begin_ns), text
         clue.last_ns = max(clue.last_ns, t_ns)
         return True
@@ -142,6 +148,10 @@ class Clues:
             if (which, whose) == (kind, node):
                 self.end(kind, node, t_ns, text, subject=subject)
 
+    def any_open(self, node: int | None) -> bool:
+        """Return whether any clue of a node is open."""
+        return self._open[node] > 0
+
     def stands(self, kind: str, node: int | None, subject: object = None) -> bool:
         """Return whether such a clue is open."""
         clue = self._last.get((kind, node, subject))
@@ -150,6 +160,8 @@ class Clues:
     def retract(self, clues: list[Clue]) -> None:
         """Remove clues whose ground turned out to be wrong."""
         gone = {id(clue) for clue in clues}
+        for clue in clues:
+            self._open[clue.node] -= clue.end_ns is None
         self.all = [clue for clue in self.all if id(clue) not in gone]
         self._last = {key: clue for key, clue in self._last.items() if id(clue) not in gone}
 

@@ -135,7 +135,9 @@ class Nodes:
     def _expect(self, node: SeenNode) -> None:
         """Wait for the next heartbeat or boot-up."""
         self._waived.discard(node.number)
-        self._next_ns = min(self._next_ns, self._due_ns(node))
+        due_ns = self._due_ns(node)
+        if due_ns < self._next_ns:
+            self._next_ns = due_ns
 
     def _overdue(self, block: Block | None, at_ns: int, node: SeenNode) -> None:
         """Note a heartbeat or boot-up that did not come, or a node that came back."""
@@ -214,8 +216,9 @@ class Nodes:
     def _heartbeat(self, block: Block, row: int, t_ns: int, number: int, state: int) -> None:
         node = self.bus.node(number, t_ns)
         self.bus.canopen += 1
-        for waiting in (self._asked, self._loss, self._returns):
-            waiting.pop(number, None)
+        if self._asked or self._loss or self._returns:
+            for waiting in (self._asked, self._loss, self._returns):
+                waiting.pop(number, None)
         if state == NmtState.INITIALISING:
             self._boot(row, t_ns, node)
             return
@@ -265,10 +268,11 @@ class Nodes:
     def _interval(self, row: int, t_ns: int, node: SeenNode) -> None:
         """Learn the period of the heartbeats, and note late and early ones."""
         number = node.number
-        if self.clues.end("host_lost", number, t_ns, "its heartbeats come again"):
-            self.bus.silences[-1].back_ns = t_ns
-        for kind in LOST_KINDS:
-            self.clues.end(kind, number, t_ns, "its heartbeats come again")
+        if self.clues.any_open(number):
+            if self.clues.end("host_lost", number, t_ns, "its heartbeats come again"):
+                self.bus.silences[-1].back_ns = t_ns
+            for kind in LOST_KINDS:
+                self.clues.end(kind, number, t_ns, "its heartbeats come again")
         if node.heartbeat_ns < 0 or number in self._toggles:
             return  # a guarded node only responds to requests
         gap = t_ns - node.heartbeat_ns
@@ -325,9 +329,10 @@ class Nodes:
         number = node.number
         if state == NmtState.OPERATIONAL:
             node.was_operational = True
-            self.clues.end("left_operational", number, t_ns, "it is OPERATIONAL again")
-            self.clues.end("restarted", number, t_ns, "it is OPERATIONAL again")
-            self.clues.end("not_started", number, t_ns, "it is OPERATIONAL")
+            if self.clues.any_open(number):
+                self.clues.end("left_operational", number, t_ns, "it is OPERATIONAL again")
+                self.clues.end("restarted", number, t_ns, "it is OPERATIONAL again")
+                self.clues.end("not_started", number, t_ns, "it is OPERATIONAL")
             return
         since = max(node.heartbeat_ns - 10_000_000, 0)
         order = self.bus.ordered(number, since, t_ns)
@@ -351,8 +356,10 @@ class Nodes:
 
     def _alternates(self, row: int, t_ns: int, node: SeenNode, changes: bool) -> None:
         """Note two devices whose heartbeats tell two states in turn."""
-        node.flips = [*node.flips[1 - FLIPS :], t_ns if changes else -1]
-        times = [flip for flip in node.flips if flip >= 0]
+        if not changes:
+            node.flips.clear()
+            return
+        node.flips = times = [*node.flips[1 - FLIPS :], t_ns]
         if len(times) == FLIPS and self.bus.ordered(node.number, times[0], t_ns) is None:
             text = "its heartbeats tell two states in turn: two devices send them"
             if not self.clues.stands("duplicate_node", node.number, "heartbeat"):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.nodes import Nodes
@@ -27,12 +25,10 @@ class RareFrames:
         The knowledge of nodes and PDO maps is the same for all other frames of a part.
         """
         keys = tuple(self._keys(block))
-        others = [group.rows for key, group in block.groups.items() if key not in keys]
-        frequent = np.sort(np.concatenate(others)) if others else np.zeros(0, np.int64)
         self.nodes.begin(block)
         start, before = 0, -1
         for row, t_ns, key, word, length in block.of(*keys):
-            if self.bus.stale and before >= 0 and frequent.searchsorted(before) < frequent.searchsorted(row):
+            if self.bus.stale and 0 <= before < row - 1:  # other frames stand between
                 yield block.part(start, before + 1 - block.first_row)
                 self.bus.renew()
                 start = before + 1 - block.first_row

@@ -64,7 +64,7 @@ class SeenNode(MappedNode):
     states: list[tuple[int, int]] = field(default_factory=list)
     """NMT state, from each time [ns] of a change."""
     flips: list[int] = field(default_factory=list)
-    """Times [ns] of the last heartbeats that changed its state; -1 for one that did not."""
+    """Times [ns] of the last successive heartbeats that each changed its state."""
     boots: int = 0
     emergencies: int = 0
     transfers: int = 0
