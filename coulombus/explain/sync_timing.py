@@ -69,6 +69,8 @@ class SyncTiming:
         if len(block.t_ns):
             self._process(block)
         if self.bus.relearn_sync:  # by the last frame of this block
+            if self.clues.end("two_sync", None, int(block.t_ns[-1]), "SYNC gets another period"):
+                self.bus.two_sync[-1] = self.bus.two_sync[-1][0], int(block.t_ns[-1])
             self._forget()
 
     def _process(self, block: Block) -> None:
