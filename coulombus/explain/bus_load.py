@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.explain.bus import SDO_RX, SDO_TX, Bus
-from coulombus.explain.frames import REMOTE, Block, Integers
+from coulombus.explain.frames import Block, Integers
 from coulombus.kernels.decorator import kernel
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.can_flags import CAN_ERR_FLAG
@@ -145,7 +145,7 @@ class BusLoad:
         text += f": {share:.0%} of the frames are {top:03X}h" if share > 0.5 else ""
         self.clues.begin("bus_load", None, begin, text, row=row)
         for key, usual in self._counts.items():
-            if key < REMOTE and usual * FILLED >= REGULAR * number and not counts.get(key) and key > top:
+            if usual * FILLED >= REGULAR * number and not counts.get(key) and key > top:
                 text = f"{key:03X}h does not come, {top:03X}h goes before it"
                 self.clues.note("starved", self.bus.sender(key), begin, text, row=row, subject=key)
 
@@ -163,7 +163,7 @@ def _are_sdo(can_id: Integers) -> npt.NDArray[np.bool_]:
 
 
 def _counts(block: Block, start: int, end: int) -> dict[int, int]:
-    """Return the frames of each identifier between two places of a block."""
-    rows = block.first_row + start, block.first_row + end
-    found = {key: np.diff(group.rows.searchsorted(rows)) for key, group in block.groups.items()} if end > start else {}
-    return {key: int(count[0]) for key, count in found.items() if count[0]}
+    """Return the data frames of each base identifier between two places of a block."""
+    can_id = np.ascontiguousarray(block.frames["can_id"][start:end])
+    number = np.bincount(can_id[can_id <= 0x7FF])
+    return {key: int(number[key]) for key in np.flatnonzero(number).tolist()}

@@ -56,6 +56,8 @@ class Block:
 
     def part(self, start: int, end: int) -> Block:
         """Return the frames from `start` until before `end`, with their comments."""
+        if start == 0 and end == len(self.frames):
+            return self  # with its groups
         last = end == len(self.frames)
         comments = tuple((row - start, text) for row, text in self.comments if start <= row and (last or row < end))
         return Block(self.frames[start:end], self.first_row + start, comments)

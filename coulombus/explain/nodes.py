@@ -224,7 +224,8 @@ class Nodes:
             return
         if node.state == NmtState.INITIALISING and self.bus.ordered(number, node.booted_ns, t_ns) is not None:
             node.always_operational = False  # it obeys: it is no host
-        self._after_reset(row, t_ns, node, state)
+        if node.reset_ns >= 0:
+            self._after_reset(row, t_ns, node, state)
         self._interval(row, t_ns, node)
         self._state(row, t_ns, node, state)
         node.heartbeat_ns, node.heartbeat_row, node.last_ns = t_ns, row, t_ns
@@ -256,7 +257,7 @@ class Nodes:
 
     def _after_reset(self, row: int, t_ns: int, node: SeenNode, state: int) -> None:
         """Compare a heartbeat after a reset command with those before it."""
-        if node.reset_ns < 0 or (state == node.state and t_ns < node.reset_ns + HEEDED_NS):
+        if state == node.state and t_ns < node.reset_ns + HEEDED_NS:
             return
         other = node.reset_alone or self.bus.host >= 0  # the sender of a command to all nodes does not obey it
         if other and state == node.state and t_ns - node.heartbeat_ns < LOST * (node.period_ns or HEEDED_NS):
@@ -301,7 +302,7 @@ class Nodes:
         before, node.last_gap_ns = node.last_gap_ns, gap
         soon.append(SAME_NS < gap < 0.7 * period and 0.8 * period < gap + before < 1.2 * period)
         del soon[:-12]
-        if sum(soon) >= 4:
+        if soon[-1] and sum(soon) >= 4:
             text = f"heartbeats come twice within a period of {period / 1e6:g} ms: two devices send them"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="heartbeat")
 
