@@ -11,7 +11,7 @@ from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
-from coulombus.explain.frames import REMOTE, Block, Frames
+from coulombus.explain.frames import NEVER, REMOTE, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of
@@ -28,6 +28,8 @@ TARGET = {
     NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
 }
 NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = map(int, (CobId.NMT, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT, CobId.EMCY))
+PDOS, RPDOS = range(CobId.TPDO1, CobId.SDO_TX), range(CobId.RPDO1, CobId.SDO_TX)
+"""Identifiers of PDOs, and those among which a usual RPDO's is."""
 TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
 
 
@@ -50,7 +52,7 @@ class Silence:
     """A silence of the host: from when it is missed, until it is back [ns]."""
 
     due_ns: int
-    back_ns: int = 1 << 62
+    back_ns: int = NEVER
 
 
 class Bus:
@@ -106,7 +108,7 @@ class Bus:
         """Number of a node's axes in Operation Enabled, from each time [ns] of a change."""
         self.sync_period_ns = 0
         """Period of SYNC [ns]; 0 until it is learned."""
-        self.sync_since_ns = 1 << 62
+        self.sync_since_ns = NEVER
         """The SYNC [ns] with which its period was learned."""
         self.sync_written = False
         """Whether a write of 1006h, which the next start of a node may put into force, was seen."""
@@ -167,6 +169,13 @@ class Bus:
             return number
         return None
 
+    def receiver(self, key: int) -> int | None:
+        """Return the node that a group's frames are set-points for: by its map, else by the identifier; None for none."""
+        known = self.maps.get(key)
+        if known is not None:
+            return known.node if known.direction == "rpdo" else None
+        return key & 0x7F or None if key in RPDOS and not key & 0x80 else None
+
     def last_heard(self, block: Block | None, number: int, before_ns: int) -> int:
         """Return the time of the node's last frame before this time; -1 if none is known."""
         node = self.nodes.get(number)
@@ -210,13 +219,17 @@ class Bus:
         """
         if self.host >= 0:
             return number == self.host
-        commanded = {order.node for order in self.orders if order.t_ns <= t_ns}
+        commanded = self._commanded(t_ns)
         alone = [n for n in self.nodes if self.present(n, t_ns) and self._only_beats(n, t_ns, commanded)]
         return bool(commanded) and alone == [number]
 
     def only_beats(self, number: int, t_ns: int) -> bool:
         """Return whether a node did nothing until a time [ns] but send heartbeats in OPERATIONAL."""
-        return self._only_beats(number, t_ns, {order.node for order in self.orders if order.t_ns <= t_ns})
+        return self._only_beats(number, t_ns, self._commanded(t_ns))
+
+    def _commanded(self, t_ns: int) -> set[int]:
+        """Return the node ids of the NMT commands until a time [ns]."""
+        return {order.node for order in self.orders if order.t_ns <= t_ns}
 
     def _only_beats(self, number: int, t_ns: int, commanded: set[int]) -> bool:
         others = (

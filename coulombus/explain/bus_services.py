@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia305 import LSS_RESULTS, LssService, lss_result
-from coulombus.explain.bus import Bus
-from coulombus.explain.frames import SYNC, Block
+from coulombus.explain.bus import PDOS, Bus
+from coulombus.explain.frames import NEVER, SYNC, Block
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Services"]
@@ -15,7 +15,6 @@ ENOUGH, STOPPED = 3, 2.5
 """Intervals of which the period of TIME is learned; periods without TIME after which it has stopped."""
 EMPTY_NS = 2_000_000_000
 """Time with SYNC and an OPERATIONAL node after which a bus has no PDO."""
-PDOS = range(0x180, 0x580)
 
 
 class Services:
@@ -26,7 +25,7 @@ class Services:
         self._times: list[int] = []  # the last stamps of TIME
         self._row = -1
         self._period_ns = 0
-        self._due_ns = 1 << 62  # time at which a bus without PDO is one
+        self._due_ns = NEVER  # time at which a bus without PDO is one
 
     def take(self, block: Block) -> None:
         """Process a block."""

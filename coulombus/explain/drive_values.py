@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coulombus.eds.cia402 import INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import SYNC, Block, Frames, Integers
+from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
 from coulombus.recording.maps.seen_maps import Field, Map
 
 __all__ = ["DriveValues"]
@@ -26,11 +26,10 @@ HELD_NS, MODE_NS = 200_000_000, 1_000_000_000
 MOTION = {0x6C: "velocity", 0x77: "torque", 0x64: "position"}
 WATCHES = ((0x1016, 1), (0x6007, 0), (0x1400, 5))
 """Objects that end a motion without a host: heartbeat consumer, abort connection, event timer of the set-points."""
-RUNS_NS, COMMANDED_NS, NEVER = 500_000_000, 100_000_000, 1 << 62
+RUNS_NS, COMMANDED_NS = 500_000_000, 100_000_000
 """Time after the host is missed within which a drive's own watch ends its motion; time after which SYNC and set-points
 do not come any more.
 """
-RPDOS = (0x200, 0x300, 0x400, 0x500)
 RUNS = "0.5 s after its host fell silent"
 OFF_TORQUE = 100
 """Least torque [per mille of the rated torque] that a drive with a disabled power stage cannot have."""
@@ -64,7 +63,7 @@ class DriveValues:
                 if (MODE_SHOWN, axis) in fields:
                     self._mode(group, known.node, axis, state, _column(group, fields[MODE_SHOWN, axis]))
                 if (TORQUE, axis) in fields:
-                    self._torque(group, known.node, axis, state, _column(group, fields[TORQUE, axis]))
+                    self._torque(group, known.node, axis, state, _signed(group, fields[TORQUE, axis]))
                 self._status(group, known.node, axis, status)
                 self._runs_on(block, group, known, axis, state)
         for key, group in block.groups.items():
@@ -140,8 +139,9 @@ class DriveValues:
 
     def _commanded(self, block: Block, node: int, at_ns: int) -> bool:
         """Return whether SYNC or set-points of a node still come at a time [ns]."""
-        mapped = {known.can_id for known in self.bus.maps.values() if known.direction == "rpdo" and known.node == node}
-        for key in {SYNC, *mapped, *(base + node for base in RPDOS if base + node not in self.bus.maps)}:
+        for key in {*block.groups, *self._last_ns}:
+            if key != SYNC and self.bus.receiver(key) != node:
+                continue
             last_ns, group = self._last_ns.get(key, -COMMANDED_NS), block.groups.get(key)
             if group is not None and group.t_ns[0] < at_ns:
                 last_ns = int(group.t_ns[group.t_ns.searchsorted(at_ns) - 1])
@@ -150,8 +150,7 @@ class DriveValues:
         return False
 
     def _torque(self, group: Frames, node: int, axis: int, state: Integers, torque: Integers) -> None:
-        shown = (torque ^ 0x8000) - 0x8000
-        holds = np.isin(state, OFF) & (np.abs(shown) > OFF_TORQUE)
+        holds = np.isin(state, OFF) & (np.abs(torque) > OFF_TORQUE)
         text = f"{where(0x6077 + 0x800 * axis, 0)} shows more than {OFF_TORQUE / 10:g} % of the rated torque, and the power stage is off"
         self._held("torque_when_off", node, axis, group, holds, HELD_NS, text)
 
@@ -177,8 +176,7 @@ class DriveValues:
 
     def _shown(self, node: int, axis: int) -> int:
         known = self.bus.nodes.get(node)
-        written = known.objects.get((0x6060 + 0x800 * axis, 0), -1) if known is not None else -1
-        return known.objects.get((0x6061 + 0x800 * axis, 0), written) if known is not None else -1
+        return known.objects.get((0x6061 + 0x800 * axis, 0), self._written(node, axis)) if known is not None else -1
 
     def _held(self, kind: str, node: int, axis: int, group: Frames, holds: Holds, least_ns: int, text: str) -> None:
         """Note periods in which a condition holds for long enough."""

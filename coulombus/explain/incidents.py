@@ -34,12 +34,12 @@ CLIENT = frozenset(
     {"sdo_late", "sdo_not_taken", "sdo_repeated", "sdo_overlap", "sdo_wrong_object", "sdo_stray", "sdo_client_abort"}
 )
 """Kinds about how client and server wait for each other."""
-AT_NODE = frozenset(kind for kind, words in KINDS.items() if words.group == "node")
 FOR_ALL = frozenset({"bus_silent", "bus_off", "babble", "host_lost", "sync_lost", "two_sync", "bus_load"})
 """Kinds with consequences at every node."""
 PROOFS, PROOF_NS = frozenset({"duplicate_node", "second_master", "not_hearing"}), 5 * S
 """Kinds that explain an incident though its first sign comes earlier, by this time at most."""
 AWAY = frozenset({"node_lost", "restarted", "not_hearing"})
+"""Kinds after which a command out of OPERATIONAL changes nothing."""
 APART = frozenset({"time_lost", "lss_refused"})
 """Kinds that neither cause nor follow from others."""
 ABSENCES = frozenset(
@@ -233,7 +233,9 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     if clue.kind in APART or (incident.root.kind in APART and clue.kind != incident.root.kind):
         return clue.kind == "time_lost" and incident.root.kind in ("host_lost", "sync_lost", "bus_silent")
     if "runs_on" in (clue.kind, incident.root.kind):
-        return clue.kind == incident.root.kind and at < incident.begin_ns + AFTER_NS  # a danger is told by itself
+        return (
+            clue.kind == incident.root.kind and at < incident.begin_ns + AFTER_NS
+        )  # a danger is an incident of its own
     if (
         trip is not None
         and trip.begin_ns - PROMPT_NS <= at <= trip.begin_ns + TRIP_NS

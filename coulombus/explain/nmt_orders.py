@@ -8,7 +8,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import Bus, Order
-from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.explain.frames import NEVER, Block, Frames, Integers
 
 __all__ = ["Orders"]
 
@@ -16,10 +16,8 @@ WORKS_NS = 50_000_000
 """A master that still sends set-points so long after its own command would not have meant it."""
 AT_WORK_NS = 1_000_000_000
 """Time after a set-point within which its node is at work."""
-NEVER = 1 << 62
 FORGOTTEN_NS = 2_000_000_000
 """Time after the start of other nodes within which a node with set-points is started, too."""
-RPDOS = range(0x200, 0x580)
 NONE = np.zeros(0, np.int64)
 LEAST = 5
 """Set-points behind the command, at least."""
@@ -92,10 +90,9 @@ class Orders:
         """Return rows and times of all RPDOs of each node: by its map, else by the identifier."""
         groups: dict[int, list[Frames]] = {}
         for key, group in block.groups.items():
-            known = self.bus.maps.get(key)
-            usual = key in RPDOS and not key & 0x80 and key & 0x7F
-            if known.direction == "rpdo" if known is not None else usual:
-                groups.setdefault(known.node if known is not None else key & 0x7F, []).append(group)
+            node = self.bus.receiver(key)
+            if node is not None:
+                groups.setdefault(node, []).append(group)
         set_points = {}
         for node, some in groups.items():
             rows, t_ns = (np.concatenate([getattr(group, name) for group in some]) for name in ("rows", "t_ns"))

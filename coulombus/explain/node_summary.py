@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-from coulombus.explain.bus import Bus
+from coulombus.explain.bus import PDOS, Bus
 from coulombus.explain.nodes import STATES
 from coulombus.explain.seen_node import SeenNode
 
 __all__ = ["NodeSummary", "summary_of"]
-
-PDOS = range(0x180, 0x580)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order, Silence
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import error_check, error_text
-from coulombus.explain.frames import REMOTE, Block
+from coulombus.explain.frames import NEVER, REMOTE, Block
 from coulombus.explain.seen_node import SeenNode
 from coulombus.wire.data_word import data_bytes
 
@@ -32,7 +32,6 @@ FLIPS = 4
 """Successive heartbeats with another state than the one before that two devices send."""
 PROGRAM_NS = 60 * S
 """Time after a command to its program (1F51h) within which a node may be silent and boot."""
-NEVER = 1 << 63
 LIFE_ERROR = 0x8130
 """EMCY of a node that misses the heartbeat or guarding of another one."""
 ANSWERED_NS = 10 * S
@@ -113,14 +112,18 @@ class Nodes:
         """Note what became overdue before a time [ns], in the order in which it did."""
         if self.bus.beats_changed:
             self.bus.beats_changed = False
-            self._next_ns = min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
+            self._next_ns = self._earliest_ns()
         while self._next_ns < t_ns:
             at_ns = self._next_ns
             due = [(self._due_ns(node), node.number) for node in self.bus.nodes.values()]
             for when, number in sorted(due):
                 if when <= at_ns:
                     self._overdue(block, when, self.bus.nodes[number])
-            self._next_ns = min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
+            self._next_ns = self._earliest_ns()
+
+    def _earliest_ns(self) -> int:
+        """Return the time at which the first of all nodes counts as lost."""
+        return min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
 
     def _due_ns(self, node: SeenNode) -> int:
         """Return the time at which a node counts as lost if no frame of it comes before."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.eds.cia301 import CobId, NmtState
-from coulombus.explain.bus import EMCY, NMT, SDO_TX, Bus
-from coulombus.explain.frames import SYNC, Block, Frames, Integers
+from coulombus.eds.cia301 import NmtState
+from coulombus.explain.bus import EMCY, NMT, PDOS, SDO_TX, Bus
+from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
 from coulombus.explain.sync_intervals import EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
 from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTiming"]
 
-SHORT, NEVER = 0.5, 1 << 61
+SHORT = 0.5
 """Interval, in periods, between two SYNCs in which a PDO need not come."""
 TIMED = 15
 """Intervals of which the own period of a PDO is learned."""
@@ -28,7 +28,6 @@ TWICE_NS, UNKNOWN_NS = MS, 200_000
 """Maximum interval of a frame that came twice; the same while the period of SYNC is unknown."""
 AFTER_NS = 1_000_000_000
 """Time after a flood within which delayed frames come."""
-PDO_KEYS = range(CobId.TPDO1, CobId.SDO_TX)
 EMPTY = Frames(NONE, NONE, NONE, NONE)
 
 
@@ -108,7 +107,7 @@ class PdoTiming:
         gaps = np.diff(stamps)
         equal = (np.diff(words) == 0) & (np.diff(lengths) == 0)
         rows = group.rows[len(group) - len(gaps) :]
-        is_pdo = pdo.key in PDO_KEYS or pdo.key in self.bus.maps
+        is_pdo = pdo.key in PDOS or pdo.key in self.bus.maps
         if is_pdo and not pdo.babbles:
             self._repeated(pdo, stamps, rows, gaps, equal)
         if is_pdo and pdo.synchronous is not False and len(edges) and self.bus.sync_period_ns:

@@ -14,6 +14,7 @@ from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import ABORT_CHECKS, error_text
+from coulombus.explain.frames import NEVER
 from coulombus.explain.object_names import object_text
 from coulombus.wire.data_word import data_bytes
 
@@ -102,7 +103,7 @@ class SdoTransfers:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
         self._servers: dict[int, _Server] = {}
-        self._next_ns = 1 << 63  # nothing is overdue before
+        self._next_ns = NEVER  # nothing is overdue before
 
     def frame(self, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a request or a response."""
@@ -138,7 +139,7 @@ class SdoTransfers:
         """Note responses overdue at a time."""
         if t_ns <= self._next_ns:
             return
-        self._next_ns = 1 << 63
+        self._next_ns = NEVER
         for number, server in self._servers.items():
             for request in list(server.waiting):
                 due_ns = max(request.t_ns, request.repeated_ns) + ANSWER_NS
@@ -320,7 +321,11 @@ class SdoTransfers:
         if request is not None:
             server.waiting.remove(request)
         if code == Abort.TIMEOUT:
-            self._timed_out(row, t_ns, number, server, request, running, data, by_server)
+            if by_server:
+                text = f"{self._object(number, data)}: the node waited for the client, which did not go on"
+                self.clues.begin("sdo_not_taken", number, t_ns, text, row=row)
+            else:
+                self._timed_out(row, t_ns, number, server, request, running)
             return
         request = request or running
         if by_server and request is None and server.extra and data[1:4] == server.answer[1:4]:
@@ -346,21 +351,10 @@ class SdoTransfers:
         clue.check = ABORT_CHECKS.get(code, "")
 
     def _timed_out(
-        self,
-        row: int,
-        t_ns: int,
-        number: int,
-        server: _Server,
-        request: _Request | None,
-        running: _Request | None,
-        data: bytes,
-        by_server: bool,
+        self, row: int, t_ns: int, number: int, server: _Server, request: _Request | None, running: _Request | None
     ) -> None:
-        """Process an abort because of a time-out: who waited for whom?"""
-        if by_server:
-            text = f"{self._object(number, data)}: the node waited for the client, which did not go on"
-            self.clues.begin("sdo_not_taken", number, t_ns, text, row=row)
-        elif request is not None:
+        """Process the client's abort because of a time-out: who waited for whom?"""
+        if request is not None:
             self._gave_up(
                 number, server, request, t_ns, f"the client gave up after {(t_ns - request.t_ns) / 1e6:.4g} ms"
             )

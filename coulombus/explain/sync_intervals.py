@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import Frames, Integers, Rolling
+from coulombus.explain.frames import NEVER, Frames, Integers, Rolling
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
 
-MS, NEVER = 1_000_000, 1 << 62
+MS = 1_000_000
 LEARN = 20
 """Frames of which the usual time after SYNC is learned."""
 ACTIVE, CHANCE, LONG = 3, 50, 100

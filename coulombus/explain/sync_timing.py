@@ -9,11 +9,11 @@ import numpy as np
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import Bus
 from coulombus.explain.clues import Clue
-from coulombus.explain.frames import SYNC, Block, Integers, Rolling
+from coulombus.explain.frames import NEVER, SYNC, Block, Integers, Rolling
 
 __all__ = ["SyncTiming"]
 
-MS, NEVER = 1_000_000, 1 << 62
+MS = 1_000_000
 ENOUGH = 8
 """Intervals of which the period is learned."""
 SILENT = 10
@@ -24,6 +24,7 @@ UNEVEN, SHARE, WINDOW = 0.2, 0.3, 50
 """Deviation, in periods, and least share of such intervals in a window of so many, of a SYNC that jitters."""
 AHEAD, BEHIND, NEAR = 5, 100, 9
 """SYNCs by which a second producer leads the period, within so many intervals; of these, so many are too short."""
+STOPS = "SYNC stops without an NMT order to the nodes"
 TWICE_NS = MS
 """Maximum interval of a SYNC that came twice."""
 
@@ -109,7 +110,7 @@ class SyncTiming:
         if not stop.kind and t_ns > due_ns:
             stop.kind = "in order" if self._ordered(stop.t_ns, due_ns) else "sync_lost"
             if stop.kind == "sync_lost":
-                self._begin(stop, stop.t_ns, "SYNC stops without an NMT order to the nodes")
+                self._begin(stop, stop.t_ns, STOPS)
         beats = self.bus.heartbeat_periods(stop.t_ns)
         silent_ns = max(due_ns, stop.t_ns + round(1.5 * min(beats, default=0)))
         if stop.kind == "sync_lost" and not stop.silence_ns and beats and t_ns > silent_ns:
@@ -183,7 +184,7 @@ class SyncTiming:
         self._follow(block, stop, end)
         if not stop.kind and end - begin > self._limit_ns and not self._ordered(begin, end):
             stop.kind = "sync_lost"
-            self._begin(stop, begin, "SYNC stops without an NMT order to the nodes")
+            self._begin(stop, begin, STOPS)
         if stop.kind == "in order":
             return
         if stop.kind:
