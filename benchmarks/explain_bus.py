@@ -14,6 +14,7 @@ from benchmarks.explain_devices import DEVICES
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.clock import own_ns
 from coulombus.wire.frame import Records
@@ -24,6 +25,8 @@ HEARTBEAT_MS = 40
 ENABLE = (0x06, 0x07, 0x0F)
 BEGIN_MS, CLEAR = 260, 0x80
 """When a fault begins, after the machine is at work."""
+MID_TRAFFIC_MS = 1000
+"""Traffic before it in a log that begins when the machine is at work already."""
 
 
 @dataclass
@@ -35,6 +38,7 @@ class Machine:
 
     dice: random.Random
     batches: list[Records] = field(default_factory=list)
+    begin_ns: int = 0  # of the log
 
     def __post_init__(self) -> None:
         dice = self.dice
@@ -64,9 +68,10 @@ class Machine:
 
     @property
     def frames(self) -> Records:
-        """All frames so far, as an analyser would record them."""
+        """All frames so far, as an analyser would record them that was connected at `begin_ns`."""
         self.network.flush()
-        return np.concatenate(self.batches)
+        frames = np.concatenate(self.batches)
+        return frames[frames["t_ns"] >= self.begin_ns]
 
     # the master
 
@@ -116,6 +121,17 @@ class Machine:
             self.words = dict.fromkeys(self.ids, word)
             self.run(30)
         self.run(BEGIN_MS - 90)
+
+    @property
+    def files(self) -> EdsFiles:
+        """The EDS files that a reader of the log has: none where the log itself shows the maps."""
+        shown = self.maps_by_sdo and not self.begin_ns
+        return EdsFiles({} if shown else dict.fromkeys(self.ids, self.kind.description))
+
+    def begin_log(self) -> None:
+        """Connect the analyser now, in mid-traffic: it hears no boot-up, no SDO transfer and no NMT command."""
+        self.begin_ns = self.network.t_ns
+        self.run(MID_TRAFFIC_MS)
 
     def configure(self, number: int) -> None:
         """Write a node's settings, and read some of them back."""

@@ -12,13 +12,14 @@ from benchmarks.explain_bus import Machine
 from benchmarks.explain_scenarios import PAIR, SCENARIOS, healthy, pair
 from benchmarks.explain_truths import Outcome, Score, Truth, explained, truth_of
 from coulombus.lab.simulate import simulate
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.reading import read
 
 __all__ = ["RIG_FAULTS", "main", "outcome", "rig_outcome"]
 
 RIG_SHARE = 5
 """Each so many-th run is one of the bench rig."""
+MID_TRAFFIC_SHARE = 6
+"""Each so many-th run of a machine has a log that begins in mid-traffic."""
 
 
 def outcome(seed: int, name: str | None = None) -> Outcome:
@@ -34,6 +35,8 @@ def outcome(seed: int, name: str | None = None) -> Outcome:
     if name == PAIR and len(machine.ids) < 2:
         name = "node_off"
     machine.bring_up()
+    if seed % MID_TRAFFIC_SHARE == 1:
+        machine.begin_log()
     truth = None
     if name == "healthy":
         healthy(machine)
@@ -43,9 +46,8 @@ def outcome(seed: int, name: str | None = None) -> Outcome:
         truth = SCENARIOS[name][0](machine, dice.choice(machine.ids))
     if name == "healthy" or dice.random() < 0.5:
         machine.stop()
-    files = EdsFiles() if machine.maps_by_sdo else EdsFiles(dict.fromkeys(machine.ids, machine.kind.description))
     frames = machine.frames
-    return Outcome(name, truth, explained(frames, None, files), frames, machine)
+    return Outcome(name, truth, explained(frames, None, machine.files), frames, machine)
 
 
 RIG_FAULTS: dict[str, tuple[str, Truth | None]] = {

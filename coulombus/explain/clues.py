@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,6 +17,8 @@ MERGED_NS = 1_000_000_000
 """Notes of one kind, node and subject within this time of each other form one clue."""
 MOST = 40
 """Maximum clues of one kind and node, and of one identifier; the last of them counts later ones."""
+SHOWN = 6
+"""Maximum frames that show a clue."""
 BY_IDENTIFIER = frozenset(
     {
         *("tpdo_missing", "rpdo_missing", "pdo_stopped", "tpdo_late", "rpdo_late", "pdo_length", "service_length"),
@@ -48,6 +50,10 @@ class Clue:
     check: str = ""
     """First check, if it is more specific than that of its kind."""
     rows: list[int] = field(default_factory=list)
+
+    def show(self, rows: Sequence[int] | Integers) -> None:
+        """Add the numbers of frames that show it."""
+        self.rows.extend(int(row) for row in rows[: SHOWN - len(self.rows)])
 
 
 class Clues:
@@ -87,8 +93,8 @@ class Clues:
         clue.count += 1
         self._open[node] += clue.end_ns is not None
         clue.end_ns, clue.last_ns = None, max(clue.last_ns, t_ns)
-        if row >= 0 and len(clue.rows) < 6:
-            clue.rows.append(row)
+        if row >= 0:
+            clue.show([row])
         return clue
 
     def note(
@@ -127,6 +133,7 @@ class Clues:
             first = int(t_ns[start])
             clue = self.note(kind, node, first, text(start), row=int(rows[start]), subject=subject, count=end - start)
             clue.last_ns = clue.end_ns = int(t_ns[end - 1])
+            clue.show(rows[start + 1 : end])
 
     def end(self, kind: str, node: int | None, t_ns: int, text: str = "", *, subject: object = None) -> bool:
         """Close a clue; return whether it was open."""

@@ -51,7 +51,7 @@ class Orders:
                     self.clues.end("ordered_away", node, order.t_ns, "it is started again")
                     continue
                 last_ns = int(t_ns[place - 1]) if place else self._last_ns.get(node, -AT_WORK_NS)
-                if order.t_ns - last_ns < AT_WORK_NS and self._is_at_work(node, order.t_ns):
+                if order.t_ns - last_ns < AT_WORK_NS and self._is_at_work(node, order.t_ns - 1):
                     self._pending.setdefault(node, (order, 0))
         for node, (rows, t_ns) in set_points.items():
             self._follow(node, rows, t_ns)
@@ -73,7 +73,7 @@ class Orders:
         for (since_ns, state), (until_ns, _) in pairwise([*node.states, (NEVER, -1)]):
             due_ns = max(since_ns, started[0]) + FORGOTTEN_NS
             place = int(t_ns.searchsorted(due_ns))
-            if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] >= until_ns:
+            if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] > until_ns:
                 continue
             told = (number, since_ns) in self._told
             if not told and self.bus.ordered(number, started[0], int(t_ns[place])) is None:
@@ -82,9 +82,9 @@ class Orders:
                 clue = self.clues.begin("not_started", number, since_ns, text, due_ns=due_ns)
                 clue.who = "host"
                 later = next((t for t, then in node.states if t >= until_ns and then == NmtState.OPERATIONAL), None)
-                if later is not None:
-                    self.clues.end("not_started", number, later, "it is OPERATIONAL")
-                return
+                if later is None:
+                    return
+                self.clues.end("not_started", number, later, "it is OPERATIONAL")
 
     def _set_points(self, block: Block) -> dict[int, tuple[Integers, Integers]]:
         """Return rows and times of all RPDOs of each node: by its map, else by the identifier."""

@@ -198,7 +198,8 @@ class PdoTiming:
     def _babble(self, pdo: SeenPdo, group: Frames) -> None:
         """Note an identifier that floods the bus."""
         stamps = group.t_ns if pdo.last_ns < 0 else np.concatenate(([pdo.last_ns], group.t_ns))
-        gaps, rows = np.diff(stamps), group.rows
+        gaps = np.diff(stamps)
+        rows = group.rows[len(group) - len(gaps) :]
         if not len(gaps) or self.bus.last_ns == self.bus.first_ns:  # a log without times
             return
         flood = np.flatnonzero(pdo.rapid.counts(gaps < BABBLE_NS) >= BABBLE)
@@ -214,6 +215,7 @@ class PdoTiming:
             text, row = f"identifier {pdo.key:03X}h comes {often}", int(rows[flood[0]])
             clue = self.clues.note("babble", node, begin, text, row=row, subject=pdo.key, count=len(flood))
             clue.last_ns = clue.end_ns = int(stamps[flood[-1] + 1])
+            clue.show(rows[flood[1:]])
             self._intervals.floods = [*self._intervals.floods[-8:], [int(stamps[flood[0] + 1]), clue.end_ns + AFTER_NS]]
         pdo.recent = recent[-BABBLE:]
 

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.explain_runs import outcome
 from coulombus.explain.explained import Explainer
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_word
 from coulombus.wire.frame import FRAME
@@ -27,7 +26,7 @@ def told(explanation):
     return [
         (
             (incident.root.kind, incident.node, incident.status, incident.begin_ns, incident.end_ns, incident.who),
-            [(c.kind, c.node, c.begin_ns, c.end_ns, c.text, c.count, c.end_text) for c in incident.clues],
+            [(c.kind, c.node, c.begin_ns, c.end_ns, c.text, c.count, c.end_text, c.rows) for c in incident.clues],
         )
         for incident in explanation.incidents
     ]
@@ -53,9 +52,7 @@ def explained(frames, size=None, files=None, live=False):
 def run_of(name):
     """Return a run's frames, and a function that makes its EDS files anew."""
     run = outcome(NAMES.index(name) + 7, name)
-    ids, kind = run.machine.ids, run.machine.kind
-    given = {} if run.machine.maps_by_sdo else dict.fromkeys(ids, kind.description)
-    return run.frames, lambda: EdsFiles(dict(given))
+    return run.frames, lambda: run.machine.files
 
 
 @pytest.mark.slow
@@ -100,7 +97,7 @@ def drawn(seed, number=800):
     return frames
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(11), 246])
 def test_of_any_frames_the_blocks_change_nothing(seed):
     frames = drawn(seed)
     whole = told(explained(frames))
