@@ -28,6 +28,8 @@ GAP = 1.5
 """Interval, in SYNC periods, between two frames of a PDO of which none is missing."""
 MORE, WINDOW = 6, 50
 """SYNC intervals with two frames of a PDO that show a second sender, among the last so many."""
+CROSSED = 0.8
+"""Change of the time after SYNC, in periods, of a frame that came before SYNC and comes after it now."""
 OFTEN = 5
 """Late frames among so many that are told."""
 BABBLE_WINDOW = 280
@@ -76,6 +78,7 @@ class SeenPdo:
     latencies: Integers = field(default_factory=lambda: NONE)  # the last times after SYNC
     learned: list[float] = field(default_factory=list)
     usual_ns: float = -1.0  # usual time after SYNC
+    crossed_ns: int = NEVER  # its time after SYNC went through a whole period then: a timer sends it
     empties: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     differing: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     late: Rolling = field(default_factory=lambda: Rolling(WINDOW))
@@ -142,6 +145,7 @@ class SyncIntervals:
             self._walk(pdo, group, frames, stamps, counts, edges, carried)
         if intervals:
             self._doubled(pdo, group, place, counts, differs, edges)
+        self._cross(pdo, group, frames)
         self._latency(pdo, group, frames)
         pdo.latencies = np.concatenate((pdo.latencies, frames.latency))[-CHANCE:]
 
@@ -308,6 +312,12 @@ class SyncIntervals:
         if len(often) and not often[-1]:
             pdo.twice_ns = -1
 
+    def _cross(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
+        """Note that a PDO comes before SYNC and then after it, or the other way round."""
+        change = np.abs(np.diff(frames.latency, prepend=pdo.latencies[-1] if len(pdo.latencies) else NEVER))
+        crossed = group.t_ns[(change > CROSSED * self.bus.sync_period_ns) & (change < self.bus.sync_period_ns)]
+        pdo.crossed_ns = min([pdo.crossed_ns, *crossed[:1].tolist()])
+
     def _latency(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
         """Note PDOs that come much later after SYNC than usual."""
         known = (frames.place >= 0) & frames.first & (frames.latency < GAP * self.bus.sync_period_ns)
@@ -337,6 +347,7 @@ class SyncIntervals:
         deviation = latency[skipped:] - usual
         if not pdo.synchronous:
             deviation = (deviation + period / 2) % period - period / 2
+            deviation[group.t_ns[places[skipped:]] >= pdo.crossed_ns] = 0
         strange = np.abs(deviation) > 0.3 * period
         often = np.flatnonzero((pdo.late.counts(strange) >= OFTEN) & strange)
         which = places[skipped:][often]
