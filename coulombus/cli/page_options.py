@@ -225,7 +225,7 @@ def serve_last_page(address: BusAddress | None, page: PageOptions, *, seconds: f
     coulombus.host.run.control_socket.NoHost
         no host has tripped there, or no page was open; the text says what is left of it
     """
-    from coulombus.host.run.control_socket import NoHost
+    from coulombus.host.run.control_socket import NoHost, host_runs, hosts_here
     from coulombus.host.run.last_word import ending, last_page, last_word, newest_word
 
     with tornado_needed():
@@ -237,11 +237,14 @@ def serve_last_page(address: BusAddress | None, page: PageOptions, *, seconds: f
         address = (newest_word() or (None, None))[0]
     word = None if address is None else last_word(address)
     if address is None or word is None:
-        raise NoHost(
-            f"no host has ended {'here' if address is None else f'on bus {address}'} since the machine started"
-        )
+        place = f"on bus {address}" if address else "of this user on this machine"
+        running = [bus for bus in ([address] if address else hosts_here()) if host_runs(bus)]
+        live = f"; one runs: coulombus watch --web --bus {running[0]}" if running else ""
+        raise NoHost(f"no host {place} has left a word of its end{live}")
     content = last_page(address)
     if content is None:
+        if not word["trip"]:
+            raise NoHost(f"no page was kept: the last host on bus {address} did not trip; it ended {ending(word)}")
         file = word.get("recording")
         where = f"its recording: coulombus watch {shlex.quote(file)} --web" if file else "it made no recording"
         raise NoHost(f"no page was open at the end of the last host on bus {address}, {ending(word)}; {where}")

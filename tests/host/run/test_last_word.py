@@ -97,7 +97,14 @@ def test_a_last_page_that_nobody_kept_names_what_is_left():
     words = ["watch", "--web", "--last"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 4
-    assert "no host has ended here" in done.output
+    assert "no host of this user on this machine has left a word" in " ".join(done.output.split())
+    leave_word([BUS], OUTCOME)
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    assert "did not trip; it ended" in " ".join(done.output.split())
+    done = CliRunner().invoke(main, ["stop"])
+    assert done.exit_code == 4
+    assert "no host runs on bus coulombus:word; the last one ended" in " ".join(done.output.split())
     leave_word([BUS], OUTCOME | {"trip": "SPEED: too fast"}, Path("a run.pcapng"))
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 4
