@@ -43,7 +43,8 @@ function words(head) {
 
 // How the host ended, or that none runs, with the next command; a trip with what the runbook says of it.
 function endWords(state, host) {
-  const at = host.end && host.end.at ? ` at ${new Date(host.end.at).toLocaleTimeString([], {hour12: false})}` : "";
+  const when = host.tripped_s !== null ? 1000 * host.tripped_s : host.end && host.end.at;
+  const at = when ? ` at ${new Date(when).toLocaleTimeString([], {hour12: false})}` : "";
   const told = host.trip ? `Trip${at}: ${host.trip}` : "", trip = document.getElementById("trip");
   put("trip", told).hidden = trip.hidden = !told;
   put("entry", host.entry || "Look at the last second of the recording.");
