@@ -89,7 +89,7 @@ def _stay(child: subprocess.Popen[bytes], seconds: float) -> None:
     """Wait while the page is served, until its process ends or Ctrl-C."""
     if seconds <= 0.0 or child.poll() is not None:
         return
-    say(f"coulombus: the page stays for {seconds:g} s; Ctrl-C ends it")
+    say(f"coulombus: the page stays for {seconds:g} s; Ctrl-C ends it; a trip's again: coulombus watch --web --last")
     with suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
         child.wait(seconds)
 

@@ -100,7 +100,7 @@ def plain_formulas(text: str) -> str:
     r"""Return a page whose formulas between dollars are as programs print them: `$\sigma_2 \ge 0$` as sigma_2 >= 0."""
 
     def plain(found: re.Match[str]) -> str:
-        latex = re.sub(r"\\mathrm\{(\w+)\}|\\,", r"\1", found[1]).replace(r"\ge", ">=")
+        latex = re.sub(r"\\operatorname\{(\w+)\}", r"\1", found[1]).replace(r"\ge", ">=")
         return re.sub(r"\\(\w+)", r"\1", latex)
 
     return re.sub(r"\$([^$\n]+)\$", plain, text)
