@@ -77,6 +77,20 @@ def test_nothing_that_the_bus_carries_raises(capture):
     batch(capture, capture.rig.one_axis(), Flow(), {})
 
 
+def test_the_time_of_a_trip_is_the_host_s_and_lasts_until_the_next_run():
+    host = view()
+    assert host.tripped_ns is None
+    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:00.300001Z"})
+    assert host.tripped_ns == 1_800_000_000_300_001_000
+    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "yesterday"})
+    assert host.tripped_ns is None
+    host.ended({"trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:01.000000Z"})
+    assert host.tripped_ns == 1_800_000_001_000_000_000
+    host.tell(None)
+    host.tell(STATUS)
+    assert host.tripped_ns is None
+
+
 def test_equal_incidents_are_one_with_a_count():
     row = IncidentRow(1, "a-1-7", "warning", "SYNC came late", 7 * 10**9, 8 * 10**9, "load", "likely", (), ())
     rows = [
