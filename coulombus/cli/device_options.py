@@ -106,7 +106,7 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         rig_name = given if isinstance(given, str) else os.environ.get(RIG_VARIABLE)
         if text.lstrip("+-").isdecimal() or rig_name is None:
             self.fail(
-                f"{text!r}: expected a node id, 1 to 127, or a node's name in the rig of COULOMBUS_RIG (or --rig)",
+                f"{text!r}: expected a node id, 1 to 127, or a node's name and its rig, as --rig bench (or COULOMBUS_RIG)",
                 param,
                 ctx,
             )
@@ -115,6 +115,10 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         if text not in ids:
             self.fail(f"{text!r}: the rig {rig_name} has the nodes {', '.join(ids)}", param, ctx)
         return ids[text]
+
+    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Return how a node is named."""
+        return "a node id, 1 to 127; or a node's name and its rig, as motor --rig bench"
 
 
 node_argument = click.argument("node_id", type=NodeArgument(), metavar="NODE")

@@ -15,7 +15,7 @@ from coulombus.cli.bundle import bundle
 from coulombus.cli.common import force_option, listed, log_eds_option, say
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options, serve_page, serve_recording_page
+from coulombus.cli.page_options import PageOptions, page_options, serve_last_page, serve_page, serve_recording_page
 from coulombus.cli.rig_options import OneBusOptions, one_bus_options
 from coulombus.cli.tables import echo
 
@@ -65,6 +65,7 @@ class View:
     foxglove: int | None
     plotjuggler: int | None
     eds: tuple[str, ...]
+    last: bool
 
     def check(self, page: PageOptions, as_json: bool) -> None:
         """Refuse incompatible options.
@@ -80,6 +81,8 @@ class View:
             "--foxglove": self.foxglove,
             "--plotjuggler": self.plotjuggler,
         }
+        if self.last and not page.web:
+            raise click.UsageError("--last is of the page: add --web; for text: coulombus status")
         given = [option for option, value in ways.items() if value is not None and value is not False]
         if len(given) > 1:
             raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
@@ -134,6 +137,7 @@ view_options = bundle(
         help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
     ),
     log_eds_option,
+    click.option("--last", is_flag=True, help="With --web: the page as it was at the last trip."),
 )
 
 
@@ -163,7 +167,7 @@ def watch(
     changed stand out, w names the bits of status- and controlwords, 1 to 9 open an incident of
     `coulombus explain`, q ends it), else lines; with
     --web a page in a browser, whose STOP does what `coulombus stop` does. With a recording FILE and
-    --web, its page: plots, cursor, incidents. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT,
+    --web, its page: plots, cursor, incidents; with --last, the page at the last trip. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT,
     with 4 when the bus goes away.
 
     \b
@@ -175,6 +179,7 @@ def watch(
       coulombus watch --pcapng - | wireshark -k -i -
       coulombus watch --bus coulombus:bench --scope motor.position_rad
       coulombus watch --bus coulombus:bench --web
+      coulombus watch --web --last
       coulombus watch run.pcapng --web
       coulombus watch --bus coulombus:bench --foxglove
     """
@@ -187,6 +192,17 @@ def watch(
         named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
         if named and view.eds:
             raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
+        if view.last and file is not None:
+            raise click.UsageError(f"{file} and --last: choose one of them")
+        if view.last:
+            from coulombus.wire.address import parse_address
+
+            serve_last_page(
+                *(None if chosen.bus_name is None else parse_address(chosen.bus_name), page),
+                seconds=seconds,
+                as_json=as_json,
+            )
+            return
         if file is not None:
             _open(file, chosen, page, rig_name=chosen.rig_name if named else None, seconds=seconds, as_json=as_json)
             return

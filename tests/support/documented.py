@@ -96,6 +96,16 @@ def commands_of(text: str) -> Iterator[str]:
             yield re.sub(r"\s+# .*$", "", line.strip())
 
 
+def plain_formulas(text: str) -> str:
+    r"""Return a page whose formulas between dollars are as programs print them: `$\sigma_2 \ge 0$` as sigma_2 >= 0."""
+
+    def plain(found: re.Match[str]) -> str:
+        latex = re.sub(r"\\operatorname\{(\w+)\}", r"\1", found[1]).replace(r"\ge", ">=")
+        return re.sub(r"\\(\w+)", r"\1", latex)
+
+    return re.sub(r"\$([^$\n]+)\$", plain, text)
+
+
 def strangers(text: str) -> Iterator[str]:
     """Yield the lines of a page's indented blocks that are no commands: what a program prints, and
     text of other languages, stands between fences.

@@ -28,7 +28,7 @@ from coulombus.explain.explained import Explanation
 from coulombus.monitor.live_incidents import incident_rows
 from coulombus.monitor.web.capture import ROWS
 from coulombus.monitor.web.guard import Handler, Nothing, Static
-from coulombus.monitor.web.page_state import incident_dict
+from coulombus.monitor.web.page_state import incident_dicts
 from coulombus.monitor.web.server import listening, named, serve_until
 from coulombus.recording.signals import Recording, Series
 
@@ -63,7 +63,7 @@ class RecordingPage:
                 for name, series in recording.signals.items()
             ],
             "markers": [[float(t_s), text] for t_s, text in recording.markers],
-            "incidents": [incident_dict(row, self.explanation.epoch_ns) for row in incident_rows(self.explanation)],
+            "incidents": incident_dicts(incident_rows(self.explanation), self.explanation.epoch_ns),
         }
 
     def _plots(self) -> list[dict[str, Any]]:

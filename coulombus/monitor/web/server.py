@@ -22,6 +22,7 @@ from coulombus.monitor.bus_reader import BATCH_S, BusReader
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
+from coulombus.monitor.web.last_page import LastPage
 from coulombus.monitor.web.page import Page, application
 from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.reader import CurveReader, HostReader
@@ -31,7 +32,7 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_until"]
+__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_last", "serve_until"]
 
 CONNECTIONS = 128
 """Maximum open connections besides the pages' sockets: another one replaces the oldest."""
@@ -268,6 +269,21 @@ def serve_until(
     finally:
         for listener in sockets:
             listener.close()
+
+
+def serve_last(
+    page: LastPage,
+    ready: Callable[[str], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    seconds: float | None = None,
+) -> None:
+    """Serve the page of the last trip until a signal, or for `seconds`; parameters and errors as of `serve`."""
+    sockets = listening(host, port)
+    page.name = named(host)
+    server = tornado.httpserver.HTTPServer(application(page))
+    serve_until(server, sockets, lambda at: ready(f"http://{page.name}:{at}/{page.token}/"), seconds)
 
 
 async def _pause(over: asyncio.Event, seconds: float) -> None:
