@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.cli.common import json_option, verdict
-from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.common import force_option, json_option, verdict
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import InputPath, OutputFile
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -55,6 +57,69 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
             else:
                 for result in results:
                     _print(result, pdos)
+
+
+@eds.command("convert", epilog=EXIT_STATUS)
+@click.argument("a", metavar="A", type=InputPath())
+@click.argument("b", metavar="B", type=OutputFile(".eds", ".dcf", ".xdd", ".xdc"))
+@force_option
+@json_option
+def convert_command(a: Path, b: Path, overwrite: bool, as_json: bool) -> None:
+    """Write the EDS, DCF, XDD or XDC file A as B, in the form of B's ending.
+
+    B has every object with its name, type, access, default, limits, PDO mapping, unit and
+    description, and the data of the file and of the device. What B's form cannot say is printed, a
+    line each. An EDS or XDD has no configured values: those of a DCF or XDC are left out.
+
+    \b
+    Examples:
+      coulombus eds convert drive.eds drive.xdd
+      coulombus eds convert drive.xdd drive.eds --overwrite
+      coulombus eds convert axis5.dcf axis5.xdc --json | jq .left_out
+    """
+    with errors():
+        from coulombus.eds.convert import converted
+        from coulombus.recording.output_file import new_file
+
+        text, left_out = converted(a, b.suffix.lower())
+        with new_file(b, force=overwrite) as path:
+            path.write_text(text, encoding="utf-8", newline="\n")
+        with verdict(0):
+            if as_json:
+                print_json({"file": str(b), "left_out": list(left_out)})
+                return
+            for what in left_out:
+                echo(f"{b}: left out: {what}")
+            echo(f"{b}: written")
+
+
+@eds.command("diff", epilog=EXIT_STATUS)
+@click.argument("a", metavar="A", type=InputPath())
+@click.argument("b", metavar="B", type=InputPath())
+@json_option
+def diff_command(a: Path, b: Path, as_json: bool) -> None:
+    """Compare two EDS, DCF, XDD or XDC files, object by object.
+
+    A line is PLACE SUBJECT: value in A -> value in B. Notations do not count: 0x10 is 16. Ends with
+    0 when the files describe the same, with 1 when not.
+
+    \b
+    Examples:
+      coulombus eds diff old.eds new.eds
+      coulombus eds diff drive.eds drive.xdd --json | jq length
+    """
+    with errors():
+        from coulombus.eds.eds_changes import changes
+        from coulombus.eds.reader import read_eds
+
+        differences = list(changes(read_eds(a), read_eds(b)))
+        with verdict(1 if differences else 0):
+            if as_json:
+                print_json([change._asdict() for change in differences])
+                return
+            for change in differences:
+                echo(str(change))
+            echo(f"{_number(len(differences), 'difference')}" if differences else "the same")
 
 
 def _check(file: str, node_id: int) -> dict[str, Any]:

@@ -308,7 +308,7 @@ NODE = '<NetworkManagement><deviceCommissioning nodeID="{}" actualBaudRate="{}" 
     [
         ("5", "250 Kbps", (5, 250_000)),
         ("0x0A", "1000", (10, 1_000_000)),
-        ("0", "125", (0, 0)),
+        ("0", "125", (0, 125_000)),
         ("3", "auto-baudRate", (3, 0)),
     ],
 )
