@@ -23,7 +23,7 @@ from coulombus.eds.sections import Section, number_of
 from coulombus.eds.xdd import is_xml
 from coulombus.eds.xml_elements import read_elements
 
-__all__ = ["COMMISSIONED", "HEADS", "OF_DCF", "FileContent", "Keys", "Row", "content_of", "revision_of", "spelled"]
+__all__ = ["COMMISSIONED", "HEADS", "OF_DCF", "FileContent", "Keys", "Row", "content_of", "spelled"]
 
 Keys: TypeAlias = dict[str, str]
 HEADS = ("FileInfo", "DeviceInfo", "DummyUsage", "Comments")
@@ -77,19 +77,19 @@ class Row:
 class FileContent:
     """A device description as keys of CiA 306: sections by name, objects as rows in their order.
 
-    `left_out` counts what the file has and no row has.
+    `left_out` counts what the file has and no row has; `revision` is that of 1018h:03, "" if unknown.
     """
 
-    description: Description
     rows: list[Row]
     sections: dict[str, Keys] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
+    revision: str = ""
 
 
 def content_of(path: str | Path) -> FileContent:
     """Read a file (EdsError as `coulombus.eds.reader.read_eds`)."""
     description, reader = read_sections(path)
-    content = FileContent(description, [])
+    content = FileContent([], revision=_revision_of(description))
     lines = {} if is_xml(description.text) else {s.line: s for s in reader.sections.values() if s.index >= 0}
     for index in sorted(description.objects):
         content.rows += _rows_of(reader, description.objects[index], lines)
@@ -98,9 +98,8 @@ def content_of(path: str | Path) -> FileContent:
             _enter_section(content, section)
     if is_xml(description.text):
         device = content.sections.setdefault("DeviceInfo", {})
-        revision = revision_of(description)
-        if revision and "RevisionNumber" not in device:
-            device["RevisionNumber"] = revision
+        if content.revision and "RevisionNumber" not in device:
+            device["RevisionNumber"] = content.revision
         root = read_elements(description.path, description.text)
         counts = {what: sum(1 for _ in root.all(name)) for name, what in XML_ONLY.items()}
         lists = [element for element in root.all("allowedValues") if element.of("value") or len(element.children) > 1]
@@ -112,7 +111,7 @@ def content_of(path: str | Path) -> FileContent:
     return content
 
 
-def revision_of(description: Description) -> str:
+def _revision_of(description: Description) -> str:
     """Return the revision number that 1018h:03 tells, for which an XDD has no other place; "" if it has none."""
     value = description.default(0x1018, 3, 0) if description.has(0x1018, 3) else None
     return f"0x{value:08X}" if isinstance(value, int) else ""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from coulombus.eds.eds_keys import FileContent, Keys, Row, revision_of
+from coulombus.eds.eds_keys import FileContent, Keys, Row
 from coulombus.eds.sections import number_of
 from coulombus.eds.xdd import ACCESS as XDD_ACCESS
 from coulombus.eds.xdd import COMMISSIONING, FEATURES, FILE, IDENTITY, KEYS
@@ -46,7 +46,7 @@ def xdd_text_of(content: FileContent) -> str:
     root = Element("ISO15745ProfileContainer", {"xmlns": SPACE, "xmlns:xsi": XSI})
     root.set("xsi:schemaLocation", f"{SPACE} CANopen.xsd")
     device = _body(root, "Device", sections.get("FileInfo", {}), lost)
-    _identity(SubElement(device, "DeviceIdentity"), sections, revision_of(content.description), lost)
+    _identity(SubElement(device, "DeviceIdentity"), sections, content.revision, lost)
     network = _body(root, "CommunicationNetwork", sections.get("FileInfo", {}), Counter())
     layers = SubElement(network, "ApplicationLayers")
     listed, top = SubElement(layers, "CANopenObjectList"), None
