@@ -104,11 +104,21 @@ def content_of(path: str | Path) -> FileContent:
         counts = {what: sum(1 for _ in root.all(name)) for name, what in XML_ONLY.items()}
         lists = [element for element in root.all("allowedValues") if element.of("value") or len(element.children) > 1]
         counts["lists of allowed values"] = len(lists)
+        counts["PDOmapping default, or optional of a read-only object: an EDS says only that it may be mapped"] = sum(
+            _says_more_than_mappable(element.attributes)
+            for kind in ("CANopenObject", "CANopenSubObject")
+            for element in root.all(kind)
+        )
         counts["names in further languages"] = sum(
             len(parameter.of("label")) > 1 for parameter in root.all("parameter")
         )
         content.left_out.update({what: count for what, count in counts.items() if count})
     return content
+
+
+def _says_more_than_mappable(attributes: Mapping[str, str]) -> bool:
+    mapping, access = (attributes.get(name, "").strip().lower() for name in ("PDOmapping", "accessType"))
+    return mapping == "default" or (mapping == "optional" and access in ("ro", "const"))
 
 
 def _revision_of(description: Description) -> str:

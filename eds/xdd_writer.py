@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 from coulombus.eds.eds_keys import FileContent, Keys, Row
 from coulombus.eds.sections import number_of
 from coulombus.eds.xdd import ACCESS as XDD_ACCESS
-from coulombus.eds.xdd import COMMISSIONING, FEATURES, FILE, IDENTITY, KEYS
+from coulombus.eds.xdd import COMMISSIONING, FEATURES, FILE, IDENTITY, IEC_TYPES, KEYS, MANDATORY, MANUFACTURER
 from coulombus.system.quoting import xml
 
 __all__ = ["xdd_text_of"]
@@ -36,8 +36,15 @@ HEAD = (
 ATTRIBUTES = {key: name for name, key in KEYS.items()}
 PARAMETER_KEYS = {"Description", "Unit", "Factor"}
 ACCESS = {word: name for name, word in XDD_ACCESS.items()}
+IEC_NAMES = {code: name for name, code in reversed(list(IEC_TYPES.items()))}
 KNOWN = ("FileInfo", "DeviceInfo", "DummyUsage", "Comments", "DeviceComissioning")
-DIRECTIONS = {"rwr": ("rw", "TPDO"), "rww": ("rw", "RPDO"), "ro": ("ro", "TPDO"), "wo": ("wo", "RPDO")}
+DIRECTIONS = {
+    "rwr": ("rw", "TPDO"),
+    "rww": ("rw", "RPDO"),
+    "ro": ("ro", "TPDO"),
+    "wo": ("wo", "RPDO"),
+    "const": ("const", "TPDO"),
+}
 
 
 def xdd_text_of(content: FileContent) -> str:
@@ -49,7 +56,14 @@ def xdd_text_of(content: FileContent) -> str:
     _identity(SubElement(device, "DeviceIdentity"), sections, content.revision, lost)
     network = _body(root, "CommunicationNetwork", sections.get("FileInfo", {}), Counter())
     layers = SubElement(network, "ApplicationLayers")
-    listed, top = SubElement(layers, "CANopenObjectList"), None
+    heads = [row.index for row in content.rows if row.subindex < 0]
+    mandatory, own = (sum(index in part for index in heads) for part in (MANDATORY, MANUFACTURER))
+    counts = {
+        "mandatoryObjects": mandatory,
+        "optionalObjects": len(heads) - mandatory - own,
+        "manufacturerObjects": own,
+    }
+    listed, top = SubElement(layers, "CANopenObjectList", {key: str(count) for key, count in counts.items()}), None
     _parameters(device, content)
     lost.update(f"[{name}]" for name in sections if name not in KNOWN)
     for row in content.rows:
@@ -80,9 +94,13 @@ def _parameters(device: Element, content: FileContent) -> None:
         attributes = {"uniqueID": name, "access": ACCESS.get(row.keys.get("AccessType", ""), "noAccess")}
         parameter = SubElement(listed, "parameter", attributes)
         SubElement(parameter, "label", {"lang": "en"}).text = xml(row.keys["ParameterName"])
+        code = number_of(row.keys.get("DataType", ""))
+        kind = IEC_NAMES.get(0 if code is None else code.value, "BITSTRING")
         keys = {key: xml(row.keys.pop(key, "")) for key in ("Description", "Unit", "Factor")}
         if keys["Description"]:
             SubElement(parameter, "description", {"lang": "en"}).text = keys["Description"]
+        if code is not None:
+            SubElement(parameter, kind)
         if keys["Unit"] or keys["Factor"]:
             unit = SubElement(parameter, "unit", {"multiplier": keys["Factor"] or "1", "unitURI": ""})
             SubElement(unit, "label", {"lang": "en"}).text = keys["Unit"]

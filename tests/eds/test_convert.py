@@ -17,7 +17,7 @@ from coulombus.eds.convert import converted
 from coulombus.eds.reader import parse_eds, read_eds
 from eds_text import HEAD, variable
 from places import CORPUS, EDS
-from xdd_text import container
+from xdd_text import as_xdd, container
 
 MAKERS = sorted(path for path in CORPUS.glob("*") if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"))
 FILES = [*sorted(EDS.glob("*.eds")), *MAKERS]
@@ -86,6 +86,13 @@ def test_another_reader_reads_the_same_objects(path, tmp_path):
             for key in ("data_type", "default", "min", "max", "access_type"):
                 if first.default is not None or (key != "default" and sub):  # it does not read all notations
                     assert getattr(first, key) == getattr(second, key), (hex(index), sub, key)
+
+
+@pytest.mark.parametrize("referred", [lambda variable: False, lambda variable: True], ids=["attributes", "parameters"])
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_an_xdd_of_another_maker_is_the_same_there_and_back(path, referred, tmp_path):
+    (tmp_path / "own.xdd").write_text(as_xdd(read_eds(path), referred), encoding="utf-8")
+    there_and_back(tmp_path / "own.xdd", tmp_path)
 
 
 NUMBERS = st.sampled_from(
