@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from coulombus.eds.description import Description
 from coulombus.eds.eds_keys import COMMISSIONED, HEADS, OF_DCF, FileContent, content_of
 from coulombus.eds.file_info import OBJECT_LISTS
+from coulombus.eds.reader import read_eds
+from coulombus.eds.xdd import is_xml
 from coulombus.eds.xdd_writer import xdd_text_of
 
-__all__ = ["SUFFIXES", "converted", "eds_text_of"]
+__all__ = ["SUFFIXES", "converted", "eds_text", "eds_text_of"]
 
 SUFFIXES = (".eds", ".dcf", ".xdd", ".xdc")
 CONFIGURED = (".dcf", ".xdc")
@@ -27,7 +30,7 @@ def converted(path: str | Path, suffix: str) -> tuple[str, tuple[str, ...]]:
     EdsError
         The file cannot be read.
     """
-    content = content_of(path)
+    content = content_of(read_eds(path))
     if suffix not in CONFIGURED and Path(path).suffix.lower() in CONFIGURED:
         _without_configuration(content)
     if suffix in (".xdd", ".xdc"):
@@ -45,6 +48,11 @@ def _without_configuration(content: FileContent) -> None:
                 content.left_out[f"{key}: the file is of no configured device"] += 1
     if content.sections.pop(COMMISSIONED, None) is not None:
         content.left_out[f"[{COMMISSIONED}]: the file is of no configured device"] += 1
+
+
+def eds_text(description: Description) -> str:
+    """Return a description's text in CiA 306's form: an EDS or DCF unchanged."""
+    return eds_text_of(content_of(description)) if is_xml(description.text) else description.text
 
 
 def eds_text_of(content: FileContent) -> str:

@@ -11,14 +11,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TypeAlias
 
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, RECORD, VAR
 from coulombus.eds.dcf import COMMISSIONING
 from coulombus.eds.description import Description, Object, Value, Variable
 from coulombus.eds.file_info import OBJECT_LISTS, FileReader
-from coulombus.eds.reader import read_sections
+from coulombus.eds.reader import parse_sections
 from coulombus.eds.sections import Section, number_of
 from coulombus.eds.xdd import is_xml
 from coulombus.eds.xml_elements import read_elements
@@ -86,9 +85,9 @@ class FileContent:
     revision: str = ""
 
 
-def content_of(path: str | Path) -> FileContent:
-    """Read a file (EdsError as `coulombus.eds.reader.read_eds`)."""
-    description, reader = read_sections(path)
+def content_of(description: Description) -> FileContent:
+    """Return the content of a description that has been read."""
+    description, reader = parse_sections(description.text.encode(), description.path)
     content = FileContent([], revision=_revision_of(description))
     lines = {} if is_xml(description.text) else {s.line: s for s in reader.sections.values() if s.index >= 0}
     for index in sorted(description.objects):

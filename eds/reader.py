@@ -36,8 +36,8 @@ __all__ = [
     "Value",
     "Variable",
     "parse_eds",
+    "parse_sections",
     "read_eds",
-    "read_sections",
 ]
 
 TYPE_NAMES = {data_type.name: code for code, data_type in DATA_TYPES.items()}
@@ -72,10 +72,9 @@ def read_eds(path: str | Path) -> Description:
     return parse_eds(_bytes_of(path), str(path))
 
 
-def read_sections(path: str | Path) -> tuple[Description, FileReader]:
-    """Read a file as `read_eds`; return its sections, too, with the reader of their values."""
-    raw = _bytes_of(path)
-    reader = (_XmlReader if is_xml(raw) else _Reader)(str(path), raw)
+def parse_sections(raw: bytes, path: str) -> tuple[Description, FileReader]:
+    """Parse as `parse_eds`; return the sections, too, with the reader of their values."""
+    reader = (_XmlReader if is_xml(raw) else _Reader)(path, raw)
     return reader.build(), reader
 
 
@@ -99,7 +98,7 @@ def parse_eds(raw: bytes, path: str) -> Description:
         The file describes no object at all, or is XML but no XDD.
     """
     with _collector_at_rest():
-        return (_XmlReader if is_xml(raw) else _Reader)(path, raw).build()
+        return parse_sections(raw, path)[0]
 
 
 @contextmanager

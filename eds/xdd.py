@@ -18,13 +18,13 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from coulombus.eds.description import Description, EdsError
+from coulombus.eds.description import EdsError
 from coulombus.eds.sections import Section, SectionReader, cut, number_of
 
 if TYPE_CHECKING:
     from coulombus.eds.xml_elements import XmlElement
 
-__all__ = ["XddReader", "eds_text", "is_xml"]
+__all__ = ["XddReader", "is_xml"]
 
 CONTAINER = "ISO15745ProfileContainer"
 OTHER_ROOTS: Mapping[str, tuple[str, str]] = {
@@ -56,7 +56,6 @@ KEYS: Mapping[str, str] = {
     "uniqueIDRef": "UniqueIDRef",
 }
 """Attributes of CANopenObject and CANopenSubObject, and the equivalent keys of CiA 306."""
-SPELLED = {key.lower(): key for key in KEYS.values()}
 VALUES = ("DefaultValue", "ParameterValue")
 IN_HEXADECIMAL = ("dataType", "objFlags")
 MAPPINGS = {"no": "0", "default": "1", "optional": "1", "tpdo": "1", "rpdo": "1"}
@@ -128,7 +127,6 @@ COMMISSIONING = {
 }
 """Further attributes of deviceCommissioning, and the keys of [DeviceComissioning]."""
 TRUTH = {"true": "1", "false": "0"}
-LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 MANDATORY, MANUFACTURER = (0x1000, 0x1001, 0x1018), range(0x2000, 0x6000)
 
 MOST_CHARACTERS = 1 << 24
@@ -145,29 +143,6 @@ def is_xml(raw: bytes | str) -> bool:
     """Tell whether a file is XML (or HTML) by its first characters: no EDS begins with ``<``."""
     head = raw[:400].decode("latin-1") if isinstance(raw, bytes) else raw[:400]
     return _START.match(head.lstrip("\xef\xbb\xbf\xfe\xff\ufeff").replace("\0", "")) is not None
-
-
-def eds_text(description: Description) -> str:
-    """Return a description's text in CiA 306's form: an EDS or DCF unchanged, the objects of an XDD or XDC
-    as sections.
-    """
-    if not is_xml(description.text):
-        return description.text
-    sections = XddReader(description.path, description.text.encode()).sections
-    indices = sorted({section.index for section in sections.values() if section.index >= 0x1000})
-    groups = [
-        [index for index in indices if index in MANDATORY],
-        [index for index in indices if index not in MANDATORY and index not in MANUFACTURER],
-        [index for index in indices if index in MANUFACTURER],
-    ]
-    lines: list[str] = []
-    for name, group in zip(LISTS, groups, strict=True):
-        rows = [f"{number}=0x{index:04X}" for number, index in enumerate(group, 1)]
-        lines += [f"[{name}]", f"SupportedObjects={len(group)}", *rows, ""]
-    for section in sorted(sections.values(), key=lambda section: (section.index, section.subindex)):
-        keys = (f"{SPELLED.get(key, section.spelled[key])}={text}" for key, (text, _) in section.entries.items())
-        lines += [f"[{section.name}]", *keys, ""]
-    return "\n".join(lines)
 
 
 class XddReader(SectionReader):

@@ -15,11 +15,11 @@ from coulombus.conformance.tester.described_device import DescribedDevice
 from coulombus.eds import xdd, xml_elements
 from coulombus.eds.check import check
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DOMAIN, RECORD, VAR
+from coulombus.eds.convert import eds_text
 from coulombus.eds.dcf_text import configured, with_values
 from coulombus.eds.description import Object, Variable
 from coulombus.eds.eds_folder import read_folder
 from coulombus.eds.reader import EdsError, parse_eds, read_eds
-from coulombus.eds.xdd import eds_text
 from coulombus.system.errors import CoulombusError
 from places import CORPUS, EDS, beside
 from xdd_text import as_xdd, attributes, container, elements, number
