@@ -13,7 +13,6 @@ from coulombus.eds.eds_keys import COMMISSIONED, HEADS, OF_DCF, FileContent, con
 from coulombus.eds.file_info import OBJECT_LISTS
 from coulombus.eds.reader import read_eds
 from coulombus.eds.xdd import is_xml
-from coulombus.eds.xdd_writer import xdd_text_of
 
 __all__ = ["SUFFIXES", "converted", "eds_text", "eds_text_of"]
 
@@ -34,6 +33,8 @@ def converted(path: str | Path, suffix: str) -> tuple[str, tuple[str, ...]]:
     if suffix not in CONFIGURED and Path(path).suffix.lower() in CONFIGURED:
         _without_configuration(content)
     if suffix in (".xdd", ".xdc"):
+        from coulombus.eds.xdd_writer import xdd_text_of
+
         text = xdd_text_of(content)
     else:
         text = eds_text_of(content)

@@ -20,7 +20,6 @@ from coulombus.eds.file_info import OBJECT_LISTS, FileReader
 from coulombus.eds.reader import parse_sections
 from coulombus.eds.sections import Section, number_of
 from coulombus.eds.xdd import is_xml
-from coulombus.eds.xml_elements import read_elements
 
 __all__ = ["COMMISSIONED", "HEADS", "OF_DCF", "FileContent", "Keys", "Row", "content_of", "spelled"]
 
@@ -97,6 +96,9 @@ def content_of(description: Description) -> FileContent:
             _enter_section(content, section)
     if is_xml(description.text):
         device = content.sections.setdefault("DeviceInfo", {})
+        # imported here: the import takes 0.1 s, and no EDS needs it
+        from coulombus.eds.xml_elements import read_elements
+
         if content.revision and "RevisionNumber" not in device:
             device["RevisionNumber"] = content.revision
         root = read_elements(description.path, description.text)

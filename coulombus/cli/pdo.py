@@ -22,10 +22,17 @@ __all__ = ["pdo"]
 @known_bus_options
 @click.option("--bus", "bus_name", metavar="B", help="Fill in the values on this bus now; nothing is sent.")
 @click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
+@click.option(
+    "--node",
+    "node_id",
+    type=click.IntRange(1, 127),
+    metavar="N",
+    help="Of node N on the bus, as its PDOs are mapped now: it is asked by SDO.",
+)
 @json_option
-def pdo(chosen: KnownBusOptions, bus_name: str | None, seconds: float, as_json: bool) -> None:
-    """Print what the PDOs of a rig, or of devices by their EDS files, carry: a diagram of the bits, and
-    a table of objects and signals; with --bus the last bytes and values, too.
+def pdo(chosen: KnownBusOptions, bus_name: str | None, seconds: float, node_id: int | None, as_json: bool) -> None:
+    """Print what the PDOs of a rig, of devices by their EDS files, or of a node on the bus carry: a
+    diagram of the bits, and a table of objects and signals; with --bus the last bytes and values, too.
 
     \b
     Examples:
@@ -33,11 +40,15 @@ def pdo(chosen: KnownBusOptions, bus_name: str | None, seconds: float, as_json: 
       coulombus pdo --bus coulombus:bench
       coulombus pdo --rig my-rig.toml --json
       coulombus pdo --eds 5=drive.eds --bus socketcan:can0
+      coulombus pdo --node 5 --bus socketcan:can0
     """
     with errors():
         from coulombus.monitor.pdo_text import as_dict, as_lines
 
-        known, address = chosen.known(bus_name)
+        if node_id is None:
+            known, address = chosen.known(bus_name)
+        else:
+            known, address = chosen.of_node(bus_name, node_id)
         now: dict[int, PdoRow] = {}
         if bus_name is not None:
             from coulombus.monitor.watch import look_once

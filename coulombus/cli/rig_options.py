@@ -139,6 +139,23 @@ class KnownBusOptions(RigOptions):
             raise click.UsageError(f"--eds: {reason}; name the node of each file, as in --eds 5=drive.eds")
         return known, default_address(self.rig_name) if bus_name is None else parse_address(bus_name)
 
+    def of_node(self, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
+        """Ask a node for its PDOs; return them, and the bus' address."""
+        from coulombus.cli.device_options import open_link
+        from coulombus.host.devices.dictionary_scan import pdo_objects
+        from coulombus.host.sdo.sdo_client import SdoClient
+        from coulombus.recording.maps.known_bus import KnownBus
+        from coulombus.wire.address import parse_address
+
+        if bus_name is None:
+            raise click.UsageError("--node is a device on a bus: name it with --bus")
+        if _source_of("rig_name") is ParameterSource.COMMANDLINE or self.overrides:
+            raise click.UsageError("--node asks the device: leave --rig and --set out")
+        files = self.files()
+        with open_link(bus_name, beside=True) as link:
+            objects = pdo_objects(SdoClient(link, node_id))
+        return KnownBus.of_device(node_id, objects, files), parse_address(bus_name)
+
 
 @dataclass(frozen=True)
 class WatchedBusOptions(KnownBusOptions):

@@ -21,7 +21,7 @@ from coulombus.host.devices.configuration import acts
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused
 
-__all__ = ["EVERYWHERE", "DictionaryScan"]
+__all__ = ["EVERYWHERE", "DictionaryScan", "pdo_objects", "read_object"]
 
 EVERYWHERE = ((0x1000, 0x1FFF), (0x2000, 0x5FFF), (0x6000, 0x9FFF))
 ABSENT = (Abort.NO_OBJECT, Abort.NO_SUBINDEX)
@@ -39,6 +39,50 @@ IDENTIFIER = 0x1FFFFFFF
 """Mask of the identifier in a COB-ID."""
 MOST_BYTES = 4096
 MOST_MAPPED = 64
+GAP = 4
+"""PDOs of a direction that are missing in a row where no more are looked for."""
+
+
+def pdo_objects(client: SdoClient) -> dict[tuple[int, int], int]:
+    """Read what determines a node's PDOs now: device type, identity, communication and mapping parameters.
+
+    A direction ends with `GAP` missing PDOs in a row. Raises as `DictionaryScan.content`.
+    """
+    values: dict[tuple[int, int], int] = {}
+
+    def read(index: int, sub: int) -> int | None:
+        answer = read_object(client, index, sub)
+        if isinstance(answer, bytes):
+            values[index, sub] = int.from_bytes(answer, "little")
+        return values.get((index, sub))
+
+    for place in ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3)):
+        read(*place)
+    for communication in (0x1400, 0x1800):
+        missing = 0
+        for index in range(communication, communication + 0x200):
+            missing = 0 if read(index, 1) is not None else missing + 1
+            if missing == GAP:
+                break
+            for sub in (2, 3, 5) if not missing else ():
+                read(index, sub)
+            for sub in range(1, min(read(index + 0x200, 0) or 0, MOST_MAPPED) + 1) if not missing else ():
+                read(index + 0x200, sub)
+    return values
+
+
+def read_object(client: SdoClient, index: int, subindex: int) -> bytes | int | None:
+    """Return an object's bytes; None if it does not exist, else the code of the abort."""
+    try:
+        return client.upload(index, subindex, most=MOST_BYTES)
+    except SdoRefused as refused:
+        return None if refused.code in (*ABSENT, *UNKNOWN) else refused.code
+    except DuplicateNodeId:
+        raise
+    except SdoProtocolError as error:
+        if error.code != Abort.MEMORY:
+            raise
+        return int(Abort.MEMORY)  # longer than `MOST_BYTES`
 
 
 @dataclass
@@ -98,17 +142,7 @@ class DictionaryScan:
                         yield int.from_bytes(entry[2:], "little"), entry[1]
 
     def _read(self, index: int, subindex: int) -> bytes | int | None:
-        """Return an object's bytes; None if it does not exist, else the code of the abort."""
-        try:
-            return self.client.upload(index, subindex, most=MOST_BYTES)
-        except SdoRefused as refused:
-            return None if refused.code in (*ABSENT, *UNKNOWN) else refused.code
-        except DuplicateNodeId:
-            raise
-        except SdoProtocolError as error:
-            if error.code != Abort.MEMORY:
-                raise
-            return int(Abort.MEMORY)  # longer than `MOST_BYTES`
+        return read_object(self.client, index, subindex)
 
     def _template(self, index: int) -> Object | None:
         """Return the object of CiA 301 or the profile from our own files."""

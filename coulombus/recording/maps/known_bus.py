@@ -14,6 +14,7 @@ from coulombus.eds.pdo import COMMUNICATION, PDO_COUNT, PdoLayout, read_layout, 
 from coulombus.recording.host_telemetry import inside_pdos
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LogMaps
+from coulombus.recording.maps.seen_maps import Objects
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 
@@ -80,6 +81,15 @@ class KnownBus:
         nodes = tuple(_node(number, file) for number, file in of_nodes.items())
         remarks = tuple(text for number, file in of_nodes.items() for text in _left_out(number, file, pdos))
         return cls("_".join(f"node{number}" for number in list(of_nodes)[:4]), nodes, pdos, eds=files, remarks=remarks)
+
+    @classmethod
+    def of_device(cls, number: int, objects: Objects, files: EdsFiles) -> KnownBus:
+        """Return the PDOs that a device has now, by the values of its objects; EDS files have names and types."""
+        maps = LogMaps(files)
+        maps.hold(number, objects)
+        maps.learn()
+        pdos = tuple(pdo for pdo in maps.pdos() if pdo.node_id == number)
+        return cls(f"node{number}", (KnownNode(str(number), number),), pdos, eds=files)
 
     @property
     def names(self) -> Mapping[int, str]:

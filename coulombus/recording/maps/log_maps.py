@@ -16,7 +16,7 @@ from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, identified, maps_of
+from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, Objects, identified, maps_of
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
@@ -117,6 +117,11 @@ class LogMaps:
         if node.objects.get(at) != value:
             node.objects[at] = value
             self._stale, self._set_at = True, self._row
+
+    def hold(self, number: int, objects: Objects) -> None:
+        """Take the values that a node's objects have now; `learn` makes maps of them."""
+        for place, value in objects.items():
+            self._set(number, place, value)
 
     def learn(self) -> bool:
         """Renew the maps, without frames those of the EDS files; return whether one is new or changed."""

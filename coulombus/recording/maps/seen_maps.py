@@ -206,7 +206,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
         except (EdsError, KeyError):
             layout = None
         if layout is not None and description.has(communication):
-            fields = _fields_of(layout)
+            fields = () if count == 0 else _fields_of(layout)  # seen to be emptied
             cob_id = (layout.cob_id if layout.cob_id >= 0 else 1 << 31) if cob_id is None else cob_id
             transmission = layout.transmission if transmission is None else transmission
             if sends and (communication, 5) not in objects:

@@ -8,9 +8,11 @@ from coulombus.eds.cia301 import DATA_TYPES, CobId
 from coulombus.eds.convert import eds_text_of
 from coulombus.eds.pdo import layouts
 from coulombus.eds.reader import parse_eds
-from coulombus.host.devices.dictionary_scan import DictionaryScan
+from coulombus.host.devices.dictionary_scan import DictionaryScan, pdo_objects
 from coulombus.host.errors import NodeMissing
 from coulombus.host.sdo.sdo_client import SdoClient
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from devices_bench import DevicesLink, eds
 
 RANGES = ((0x1000, 0x1FFF), (0x2000, 0x20FF), (0x6000, 0x65FF), (0x7000, 0x7300), (0x9000, 0x9300))
@@ -94,3 +96,21 @@ def test_a_device_that_answers_otherwise_for_what_it_lacks():
     assert made.variable(0x2001, 3).data_type == 0x06
     assert made.variable(0x2000, 0).data_type == 0x16
     assert scan.remarks == ["2003h:00 can only be written, so its type is unknown: left out"]
+
+
+def test_pdos_are_those_that_the_device_has_now():
+    link, own = DevicesLink(), eds("motor")
+    link.add(own, 5)
+    client = SdoClient(link, 5)
+    for index, sub, size, value in (
+        *((0x1801, 1, 4, 0x80000285), (0x1A01, 0, 1, 0), (0x1A01, 1, 4, 0x60770010), (0x1A01, 2, 4, 0x60640020)),
+        *((0x1A01, 0, 1, 2), (0x1801, 1, 4, 0x285), (0x1A00, 0, 1, 0)),
+    ):
+        if index == 0x1A00:
+            client.download(0x1800, 1, (0x80000185).to_bytes(4, "little"))
+        client.download(index, sub, value.to_bytes(size, "little"))
+    known = KnownBus.of_device(5, pdo_objects(client), EdsFiles({5: own}))
+    maps = {pdo.name: [(entry.index, entry.bits, entry.signed) for entry in pdo.layout.entries] for pdo in known.pdos}
+    assert maps["TPDO2"] == [(0x6077, 16, True), (0x6064, 32, True)]
+    assert "TPDO1" not in maps
+    assert "RPDO1" in maps
