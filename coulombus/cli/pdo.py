@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from coulombus.cli.common import json_option, printed
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS
+from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
 from coulombus.cli.tables import echo
 
@@ -19,6 +20,7 @@ __all__ = ["pdo"]
 
 
 @click.command(epilog=EXIT_STATUS)
+@click.argument("file", required=False, type=InputPath())
 @known_bus_options
 @click.option("--bus", "bus_name", metavar="B", help="Fill in the values on this bus now; nothing is sent.")
 @click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
@@ -30,9 +32,12 @@ __all__ = ["pdo"]
     help="Of node N on the bus, as its PDOs are mapped now: it is asked by SDO.",
 )
 @json_option
-def pdo(chosen: KnownBusOptions, bus_name: str | None, seconds: float, node_id: int | None, as_json: bool) -> None:
-    """Print what the PDOs of a rig, of devices by their EDS files, or of a node on the bus carry: a
-    diagram of the bits, and a table of objects and signals; with --bus the last bytes and values, too.
+def pdo(
+    file: Path | None, chosen: KnownBusOptions, bus_name: str | None, seconds: float, node_id: int | None, as_json: bool
+) -> None:
+    """Print what the PDOs of a rig, of devices by their EDS files, of a recording FILE or of a node on
+    the bus carry: a diagram of the bits, and a table of objects and signals; with --bus the last
+    bytes and values, too.
 
     \b
     Examples:
@@ -40,12 +45,17 @@ def pdo(chosen: KnownBusOptions, bus_name: str | None, seconds: float, node_id: 
       coulombus pdo --bus coulombus:bench
       coulombus pdo --rig my-rig.toml --json
       coulombus pdo --eds 5=drive.eds --bus socketcan:can0
+      coulombus pdo candump.log --eds 5=drive.eds
       coulombus pdo --node 5 --bus socketcan:can0
     """
     with errors():
         from coulombus.monitor.pdo_text import as_dict, as_lines
 
-        if node_id is None:
+        if file is not None:
+            if bus_name is not None or node_id is not None:
+                raise click.UsageError("a FILE and --bus or --node: give one of them")
+            known = chosen.of_file(file)
+        elif node_id is None:
             known, address = chosen.known(bus_name)
         else:
             known, address = chosen.of_node(bus_name, node_id)

@@ -22,6 +22,8 @@ from coulombus.cli.common import (
 from coulombus.cli.errors import remark
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.recording.maps.known_bus import KnownBus
     from coulombus.rigs.rig import Rig
@@ -138,6 +140,15 @@ class KnownBusOptions(RigOptions):
             reason = "an EDS file has no node id, and nothing here shows it"
             raise click.UsageError(f"--eds: {reason}; name the node of each file, as in --eds 5=drive.eds")
         return known, default_address(self.rig_name) if bus_name is None else parse_address(bus_name)
+
+    def of_file(self, file: Path) -> KnownBus:
+        """Return what is known of a recording's bus: by rig or EDS files, given or attached, and by its SDO."""
+        from coulombus.recording.maps.known_bus import KnownBus
+        from coulombus.recording.reading import blocks
+
+        is_given = bool(self.overrides) or (self.names_rig and not self.eds)
+        source = blocks(file, self.load() if is_given else None, self.channel, eds=self.files())
+        return KnownBus("", (), source.pdos) if source.known_rig is None else KnownBus.of_rig(source.known_rig)
 
     def of_node(self, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
         """Ask a node for its PDOs; return them, and the bus' address."""

@@ -39,6 +39,15 @@ def test_a_log_is_decoded_exported_drawn_and_timed(log, tmp_path):
     assert json.loads(run("hz", log, "--eds", MOTOR, "--json"))["identifiers"][0]["name"] == "5 TPDO1"
 
 
+def test_the_pdos_of_a_log_are_drawn(log):
+    pdos = json.loads(run("pdo", log, "--eds", MOTOR, "--json"))
+    assert {pdo["pdo"] for pdo in pdos} >= {"TPDO1", "RPDO1"}
+    assert "Position actual value" in run("pdo", log, "--eds", MOTOR)
+    assert run("pdo", log) == ""
+    run("pdo", log, "--bus", "coulombus:x", status=2)
+    run("pdo", "--node", "5", status=2)
+
+
 def test_two_logs_without_a_rig_are_compared(log, tmp_path):
     other = tmp_path / "other.log"
     other.write_text(log.read_text().replace("0A000000", "0B000000").replace("0a000000", "0b000000"))

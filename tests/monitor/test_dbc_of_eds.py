@@ -52,6 +52,7 @@ NAMES = (
     ),
     *("温度", "3rd stage [°C]", "x" * 70, "x" * 69 + "y", "\\ back", "VAL_", "Vector__XXX", "NS_", "-", "tab\there"),
 )
+UNITS = ("", "", "rpm", "°C", "m/s²", "%", '"', "a b", "-m", "/f:2", "µm", "Ω", "//x", "x" * 40)
 DUMMIES = {1: 1, 2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}
 
 
@@ -64,17 +65,17 @@ def own_file(seed):
     objects = []
     for k in range(24):
         code = rng.choice(list(TYPES))
-        name, index = rng.choice(NAMES), 0x2000 + 0x100 * k
+        name, index, unit = rng.choice(NAMES), 0x2000 + 0x100 * k, rng.choice(UNITS)
         if rng.random() < 0.3:
             sections.append(
                 f"[{index:X}]\nParameterName={name}\nObjectType=9\nSubNumber=2\n"
                 f"[{index:X}sub0]\nParameterName=count\nObjectType=7\nDataType=5\nAccessType=ro\nDefaultValue=0x1F\n"
-                f"[{index:X}sub1F]\nParameterName={name}\nObjectType=7\nDataType=0x{code:04X}\nAccessType=rw\nPDOMapping=1\n"
+                f"[{index:X}sub1F]\nParameterName={name}\nObjectType=7\nDataType=0x{code:04X}\nAccessType=rw\nPDOMapping=1\nUnit={unit}\n"
             )
             objects.append((index, 0x1F, code))
         else:
             sections.append(
-                f"[{index:X}]\nParameterName={name}\nObjectType=7\nDataType=0x{code:04X}\nAccessType=rw\nPDOMapping=1\n"
+                f"[{index:X}]\nParameterName={name}\nObjectType=7\nDataType=0x{code:04X}\nAccessType=rw\nPDOMapping=1\nUnit={unit}\n"
             )
             objects.append((index, 0, code))
     for first, base in ((0x1400, 0x200), (0x1800, 0x180)):
