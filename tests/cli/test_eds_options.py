@@ -48,6 +48,20 @@ def test_the_pdos_of_a_log_are_drawn(log):
     run("pdo", "--node", "5", status=2)
 
 
+def test_the_page_of_a_log_has_a_plot_of_each_pdo(log):
+    pytest.importorskip("tornado")
+    from coulombus.explain.explained import explain
+    from coulombus.monitor.web.recording_page import RecordingPage
+    from coulombus.recording.maps.eds_files import eds_files
+    from coulombus.recording.reading import read
+
+    files = eds_files([MOTOR])
+    document = RecordingPage(read(log, eds=files), explain(log, eds=files), "token").document()
+    names = ["5.TPDO1.6041h:00", POSITION, "5.TPDO1.6077h:00"]
+    assert document["plots"] == [{"title": "5 TPDO1", "unit": "", "signals": names}]
+    assert document["rig"] == ""
+
+
 def test_two_logs_without_a_rig_are_compared(log, tmp_path):
     other = tmp_path / "other.log"
     other.write_text(log.read_text().replace("0A000000", "0B000000").replace("0a000000", "0b000000"))
