@@ -10,8 +10,9 @@ import click
 
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import file_channel_option, force_option, json_option, load, log_eds_option, printed, say
-from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.rig_options import eds_files_of
 from coulombus.cli.tables import PROSE, echo, on_terminal
 
 if TYPE_CHECKING:
@@ -47,11 +48,7 @@ class Knowledge:
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; report unreadable files of a folder."""
-        from coulombus.recording.maps.eds_files import eds_files
-
-        files = eds_files(self.eds)
-        remark(files.refused)
-        return (None if self.rig_name is None else load(self.rig_name, ())), files
+        return (None if self.rig_name is None else load(self.rig_name, ())), eds_files_of(self.eds)
 
 
 @dataclass(frozen=True)

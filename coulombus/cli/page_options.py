@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from coulombus.cli.rig_options import BusesOptions
+    from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
@@ -182,6 +183,7 @@ def serve_page(
 def serve_recording_page(
     file: Path,
     page: PageOptions,
+    eds: EdsFiles,
     *,
     rig_name: str | None,
     channel: str | None,
@@ -192,6 +194,7 @@ def serve_recording_page(
 
     Parameters
     ----------
+    eds : EDS files for decoding; with them the attached rig is not used
     rig_name : rig for decoding; None: the attached one
     """
     from coulombus.cli.errors import remark
@@ -202,9 +205,9 @@ def serve_recording_page(
         from coulombus.monitor.web.access import new_token
         from coulombus.monitor.web.recording_page import serve_recording
 
-    recording = read(file, rig_name, channel)
+    recording = read(file, rig_name, channel, eds=eds)
     remark(recording.remarks)
-    explanation = explain(file, rig=recording.rig, channel=channel)
+    explanation = explain(file, rig=recording.known_rig, eds=eds, channel=channel)
     serve_recording(
         *(recording, explanation, new_token(), lambda url: _ready(url, as_json)),
         host=page.web_host,

@@ -32,6 +32,7 @@ from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
 from coulombus.monitor.view_thread import ViewThread
 from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
 from coulombus.system.keyboard import Keys, in_foreground
@@ -151,7 +152,7 @@ def watch(
             raise reader.failure
 
 
-def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
+def look_once(known: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
     """Listen to a bus for some time; return a snapshot. Nothing is sent.
 
     Raises
@@ -159,7 +160,7 @@ def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    live = Live(rig)
+    live = Live(known.rig, LearnedPdos(known.eds) if known.rig is None else None)
     live.snapshot(time.time_ns())
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
     with Client(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:
