@@ -12,7 +12,7 @@ from click.core import ParameterSource
 from coulombus.cli.common import json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.rig_options import OneBusOptions, any_bus_options
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ __all__ = ["hz"]
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
-@one_bus_options
+@any_bus_options
 @click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
 @json_option
 def hz(
@@ -46,6 +46,7 @@ def hz(
     """
     with errors():
         from coulombus.monitor.timing import as_dict, as_lines, listen, recorded, recorded_bare, timing
+        from coulombus.wire.address import WITH_ADAPTERS
 
         if file is not None:
             if chosen.bus_name is not None:
@@ -65,12 +66,12 @@ def hz(
                 by_bus = {"": (None, recorded_bare(file, chosen.channel, remarks))}
                 remark(remarks)
         else:
-            rig, address = chosen.found()
+            rig, address = chosen.found(WITH_ADAPTERS)
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
             by_bus = {"": (rig, stamps)}
-            where, source = str(address), address.stamps
+            where, source = str(address), stamps.source
         rows = {bus: timing(*of_bus) for bus, of_bus in by_bus.items()}
         if as_json:
             identifiers = [

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.cli.common import json_option, load, printed, rig_option, set_option
+from coulombus.cli.common import (
+    adapter_option,
+    json_option,
+    load,
+    printed,
+    rig_option,
+    set_option,
+    with_adapter_options,
+)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import SECONDS
 from coulombus.cli.rig_options import one_channel_option
@@ -21,7 +29,14 @@ __all__ = ["pdo"]
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
-@click.option("--bus", "bus_name", metavar="B", help="Fill in the values on this bus now; nothing is sent.")
+@click.option(
+    "--bus",
+    "bus_name",
+    metavar="B",
+    callback=with_adapter_options,
+    help="Fill in the values on this bus now; nothing is sent.",
+)
+@adapter_option
 @click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
 @one_channel_option
 @json_option
@@ -45,8 +60,9 @@ def pdo(
     with errors():
         from coulombus.monitor.pdo_text import as_dict, as_lines
         from coulombus.rigs.buses import one_bus
+        from coulombus.wire.address import WITH_ADAPTERS
 
-        rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+        rig, address = one_bus(load(rig_name, overrides), bus_name, channel, WITH_ADAPTERS)
         now: dict[int, PdoRow] = {}
         if bus_name is not None:
             from coulombus.monitor.watch import look_once

@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, buses_option, channel_option, load_with_law, rig_option, set_option
+from coulombus.cli.common import (
+    adapter_option,
+    any_bus_option,
+    bus_option,
+    buses_option,
+    channel_option,
+    load_with_law,
+    rig_option,
+    set_option,
+)
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
-    from coulombus.wire.address import BusAddress
+    from coulombus.wire.address import BusAddress, Kind
 
 __all__ = [
     "BusesOptions",
     "OneBusOptions",
     "RigOptions",
+    "any_bus_options",
     "buses_options",
     "one_bus_options",
     "one_channel_option",
@@ -49,11 +60,11 @@ class OneBusOptions(RigOptions):
     bus_name: str | None
     channel: str | None
 
-    def found(self) -> tuple[Rig, BusAddress]:
-        """Return the rig of the bus, and the bus' address."""
+    def found(self, also: Collection[Kind] = ()) -> tuple[Rig, BusAddress]:
+        """Return the rig of the bus, and the bus' address; `also` as in `parse_address`."""
         from coulombus.rigs.buses import one_bus
 
-        return one_bus(self.load(), self.bus_name, self.channel)
+        return one_bus(self.load(), self.bus_name, self.channel, also)
 
 
 @dataclass(frozen=True)
@@ -74,4 +85,7 @@ one_channel_option = click.option("--channel", metavar="C", help="Bus of a rig, 
 
 rig_options = bundle("chosen", RigOptions, rig_option, set_option)
 one_bus_options = bundle("chosen", OneBusOptions, rig_option, set_option, bus_option, one_channel_option)
+any_bus_options = bundle(
+    "chosen", OneBusOptions, rig_option, set_option, any_bus_option, adapter_option, one_channel_option
+)
 buses_options = bundle("chosen", BusesOptions, rig_option, set_option, buses_option, channel_option)

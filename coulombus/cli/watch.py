@@ -16,7 +16,7 @@ from coulombus.cli.common import force_option, listed, log_eds_option, say
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
 from coulombus.cli.page_options import PageOptions, page_options, serve_page, serve_recording_page
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.rig_options import OneBusOptions, any_bus_options
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ view_options = bundle(
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
-@one_bus_options
+@any_bus_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @view_options
 @page_options
@@ -182,6 +182,7 @@ def watch(
         from coulombus.monitor.watch import LiveView
         from coulombus.monitor.watch import watch as run
         from coulombus.recording.maps.eds_files import eds_files
+        from coulombus.wire.address import WITH_ADAPTERS
 
         view.check(page, as_json)
         named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
@@ -190,7 +191,7 @@ def watch(
         if file is not None:
             _open(file, chosen, page, rig_name=chosen.rig_name if named else None, seconds=seconds, as_json=as_json)
             return
-        rig, address = chosen.found()
+        rig, address = chosen.found(WITH_ADAPTERS)
         if view.foxglove is not None or view.plotjuggler is not None:
             _forward(rig, address, view, seconds=seconds, as_json=as_json)
         elif page.web:
@@ -219,7 +220,7 @@ def watch(
                 address,
                 LiveView(as_json, view.interval, named, view.scope, assumed, files),
                 seconds=seconds,
-                host=lambda: host_line(address),
+                host=None if address.is_adapter else lambda: host_line(address),
             )
 
 
