@@ -33,6 +33,8 @@ READ_S = 0.05
 """Longest wait for a frame: after it `close` is noticed."""
 IDLE_S = 1e-3
 """Pause without a frame, for drivers that do not wait: python-can's socketcand, after its server's end."""
+CLOSE_S = 2.0
+"""Longest wait for a driver that is asked for a frame when the bus is closed."""
 SKEW_NS, STALE_NS = 1_000_000_000, 60_000_000_000
 """A clock that is ahead of this PC's by more, or behind it, is not this PC's."""
 LINUX_ERRORS = ("coulombus", "gs_usb", "socketcan", "socketcand")
@@ -89,7 +91,7 @@ class AdapterClient(OpenBus):
         if self._stopped.is_set():
             return
         self._stopped.set()
-        self._thread.join()
+        self._thread.join(CLOSE_S)
         try:
             self._bus.shutdown()
         except Exception:  # of a driver whose adapter was unplugged

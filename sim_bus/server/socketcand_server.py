@@ -112,7 +112,9 @@ class SocketcandServer(OpenBus):
             if fd == self._listener.fileno():
                 self._accept()
                 continue
-            remote = self._remotes[fd]
+            remote = self._remotes.get(fd)
+            if remote is None:  # dropped while another client was served
+                continue
             if events & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
                 frames += self._read(remote)
             if events & select.EPOLLOUT and fd in self._remotes:

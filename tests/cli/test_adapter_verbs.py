@@ -146,17 +146,14 @@ def test_on_a_system_that_is_no_linux_they_work_over_an_adapter(tmp_path):
         lines = (
             f"scan --bus {text} --no-lss",
             f"sdo get {NODE} 1018:1 --bus {text}",
-            f"nmt reset-communication {NODE} --bus {text} --timeout 0.1",
             f"watch --bus {text} --seconds 0.5",
             f"watch --bus {text} --seconds 0.5 --pcapng run.pcapng",
             f"hz --bus {text} --seconds 0.2",
             f"explain --bus {text} --seconds 0.2",
-            f"pdo --bus {text} --seconds 0.2",
-            "decode run.pcapng",
         )
         command = [sys.executable, str(SYSTEM), *lines]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, timeout=600, check=True)
         ends = dict(zip(lines, map(json.loads, done.stdout.splitlines()), strict=True))
-        assert {line: end for line, end in ends.items() if end["status"] not in (0, 5)} == {}
+        assert {line: end for line, end in ends.items() if end["status"]} == {}
         assert threading.active_count() > 1  # the far end was in this process

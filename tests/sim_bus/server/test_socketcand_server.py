@@ -197,6 +197,18 @@ def test_a_client_that_does_not_read_is_dropped_and_the_others_are_served(monkey
         assert deaf.server is made
 
 
+def test_a_client_that_is_dropped_while_another_is_served_ends_nothing():
+    with server() as made:
+        remotes = made.join().raw(), made.join().raw()
+        for slow in made._remotes.values():
+            slow.frames_from_s, slow.going = float("inf"), bytearray(module.BACKLOG_BYTES)
+        for remote in remotes:  # both are ready in one round
+            remote.send(b"< send 181 0 >")
+        assert remotes[0].frames(1) == [(0x181, 0, bytes(8))]
+        assert len(made._remotes) == 1
+        assert "was dropped" in made.lines[-1]
+
+
 def test_clients_come_and_go():
     with server() as made:
         remotes = [made.join().expect(b"< hi >") for _ in range(MOST_CLIENTS)]
@@ -288,15 +300,12 @@ def test_python_cans_client_loses_none_of_1000_frames_each_way():
             for n in range(1000)
         ]
         with ours, can.Bus(interface="coulombus", channel="a") as far:
-            for message in messages:
-                ours.send(message)
-            for message in messages:
-                assert far.recv(PATIENCE_S).equals(message, None, check_channel=False)
-            for begin in range(0, len(messages), 100):  # the tiny bus has no pace, and keeps some 270 for a client
-                for message in messages[begin : begin + 100]:
-                    far.send(message, timeout=PATIENCE_S)
-                for message in messages[begin : begin + 100]:
-                    assert ours.recv(PATIENCE_S).equals(message, None, check_channel=False)
+            for source, sink in ((ours, far), (far, ours)):
+                for begin in range(0, len(messages), 100):  # the tiny bus keeps some 270 messages for a client
+                    for message in messages[begin : begin + 100]:
+                        source.send(message, timeout=PATIENCE_S)
+                    for message in messages[begin : begin + 100]:
+                        assert sink.recv(PATIENCE_S).equals(message, None, check_channel=False)
         process.terminate()
         out, _ = process.communicate(timeout=PATIENCE_S)
         ways = json.loads(out.splitlines()[-1])["ways"]
