@@ -68,7 +68,7 @@ def hz(
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
             by_bus = {"": (known, stamps)}
-            where, source = str(address), address.stamps
+            where, source = str(address), stamps.source
         rows = {bus: timing(*of_bus) for bus, of_bus in by_bus.items()}
         if as_json:
             identifiers = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.cli.common import json_option, printed
+from coulombus.cli.common import adapter_option, json_option, printed, with_adapter_options
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
@@ -22,7 +22,14 @@ __all__ = ["pdo"]
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
 @known_bus_options
-@click.option("--bus", "bus_name", metavar="B", help="Fill in the values on this bus now; nothing is sent.")
+@click.option(
+    "--bus",
+    "bus_name",
+    metavar="B",
+    callback=with_adapter_options,
+    help="Fill in the values on this bus now; nothing is sent.",
+)
+@adapter_option
 @click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
 @click.option(
     "--node",

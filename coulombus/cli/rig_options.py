@@ -10,6 +10,8 @@ from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import (
+    adapter_option,
+    any_bus_option,
     bus_option,
     buses_option,
     channel_option,
@@ -128,18 +130,19 @@ class KnownBusOptions(RigOptions):
         """Return what EDS files, else the rig, tell of a bus, and its address; print what is left out."""
         from coulombus.recording.maps.known_bus import KnownBus
         from coulombus.rigs.buses import one_bus
-        from coulombus.wire.address import default_address, parse_address
+        from coulombus.wire.address import WITH_ADAPTERS, default_address, parse_address
 
         files = self.files()
         if not self.eds:
-            rig, address = one_bus(self.load(), bus_name, self.channel)
+            rig, address = one_bus(self.load(), bus_name, self.channel, WITH_ADAPTERS)
             return KnownBus.of_rig(rig), address
         known = KnownBus.of_eds(files)
         remark(known.remarks)
         if not (known.nodes or self.finds_nodes):
             reason = "an EDS file has no node id, and nothing here shows it"
             raise click.UsageError(f"--eds: {reason}; name the node of each file, as in --eds 5=drive.eds")
-        return known, default_address(self.rig_name) if bus_name is None else parse_address(bus_name)
+        address = default_address(self.rig_name) if bus_name is None else parse_address(bus_name, WITH_ADAPTERS)
+        return known, address
 
     def of_file(self, file: Path) -> KnownBus:
         """Return what is known of a recording's bus: by rig or EDS files, given or attached, and by its SDO."""
@@ -156,7 +159,7 @@ class KnownBusOptions(RigOptions):
         from coulombus.host.devices.dictionary_scan import pdo_objects
         from coulombus.host.sdo.sdo_client import SdoClient
         from coulombus.recording.maps.known_bus import KnownBus
-        from coulombus.wire.address import parse_address
+        from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
         if bus_name is None:
             raise click.UsageError("--node is a device on a bus: name it with --bus")
@@ -165,7 +168,7 @@ class KnownBusOptions(RigOptions):
         files = self.files()
         with open_link(bus_name, beside=True) as link:
             objects = pdo_objects(SdoClient(link, node_id))
-        return KnownBus.of_device(node_id, objects, files), parse_address(bus_name)
+        return KnownBus.of_device(node_id, objects, files), parse_address(bus_name, WITH_ADAPTERS)
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,9 @@ one_channel_option = click.option("--channel", metavar="C", help="Bus of a rig, 
 rig_options = bundle("chosen", RigOptions, rig_option, set_option)
 one_bus_options = bundle("chosen", OneBusOptions, rig_option, set_option, bus_option, one_channel_option)
 watched_bus_options = bundle(
-    "chosen", WatchedBusOptions, rig_option, set_option, bus_option, one_channel_option, log_eds_option
+    "chosen",
+    WatchedBusOptions,
+    *(rig_option, set_option, any_bus_option, adapter_option, one_channel_option, log_eds_option),
 )
 known_bus_options = bundle("chosen", KnownBusOptions, rig_option, set_option, one_channel_option, log_eds_option)
 log_options = bundle(

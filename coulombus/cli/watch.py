@@ -228,7 +228,7 @@ def watch(
                 address,
                 LiveView(as_json, view.interval, named, view.scope, assumed, known.eds),
                 seconds=seconds,
-                host=lambda: host_line(address),
+                host=None if address.is_adapter else lambda: host_line(address),
             )
 
 

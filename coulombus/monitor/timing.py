@@ -24,9 +24,9 @@ from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.signals import Source
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
@@ -97,9 +97,10 @@ class _Line:
 
 
 class Stamps:
-    """The stamps [ns] of each identifier, in order of arrival."""
+    """The stamps [ns] of each identifier, in order of arrival; `source` is the clock that made them."""
 
     def __init__(self) -> None:
+        self.source = "the recording's"
         self._of: dict[int, _Line] = {}
         self._sync_ns = np.zeros(0, np.int64)
         """The last SYNC so far, if any."""
@@ -147,7 +148,7 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         There is no bus, or it closed meanwhile.
     """
     stamps = Stamps()
-    with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
+    with open_bus(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not stop.wait(0):
             client.wait(min(left, WAIT_S))
@@ -157,6 +158,7 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         client.wait(WAIT_S)
         while frames := client.receive():
             stamps.take(frames)
+        stamps.source = client.stamps
         return stamps, client.lost
 
 

@@ -45,6 +45,7 @@ RULES = (
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
     (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` does it"),
     # hardware
+    (r"--bus can:", "needs an adapter: tests/cli/test_adapter_verbs.py runs such verbs without hardware"),
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
     # living buses and programs with a window

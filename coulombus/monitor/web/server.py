@@ -28,8 +28,9 @@ from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.reader import CurveReader, HostReader
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress, BusUnavailable
-from coulombus.wire.client import Client
+from coulombus.wire.client import OpenBus
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_last", "serve_until"]
@@ -214,11 +215,11 @@ async def _last_word(door: HostDoor, over: asyncio.Event) -> None:
             await _pause(over, WORD_S / 50)
 
 
-async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
+async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> OpenBus | None:
     """Return a client of the bus; if it does not exist yet and the caller is patient, wait until `over` (None)."""
     while not over.is_set():
         try:
-            return Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
+            return open_bus(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
         except BusUnavailable:
             if not patient:
                 raise
