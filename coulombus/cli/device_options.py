@@ -126,7 +126,7 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
 
     def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
         """Return how a node is named."""
-        return "a node id, 1 to 127; or a node's name and its rig, as motor --rig bench"
+        return "It is a node id, 1 to 127; or a node's name and its rig, as motor --rig bench"
 
 
 node_argument = click.argument("node_id", type=NodeArgument(), metavar="NODE")
