@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.explain.bus import Bus
+from coulombus.explain.clues import Clue
 from coulombus.explain.frames import NEVER, Frames, Integers, Rolling
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
@@ -22,8 +23,8 @@ its contents were repeated, and if only its time after SYNC is steady.
 """
 EQUAL, STEADY = 5, 0.1
 """Repeated contents that an event-driven PDO would not send; maximum spread, in periods, of a steady time after SYNC."""
-DISARMED_NS = 500_000_000
-"""Time within which a command explains that a PDO of a disarmed drive stops, while SYNC goes on."""
+ENDING_NS = 500_000_000
+"""Time within which a command explains that set-points stop, or a PDO of a disarmed drive, while SYNC goes on."""
 GAP = 1.5
 """Interval, in SYNC periods, between two frames of a PDO of which none is missing."""
 MORE, WINDOW = 6, 50
@@ -90,6 +91,8 @@ class SeenPdo:
     event_ns: int = 0  # its event timer
     excused: bool = False  # the present stop is explained, or noted
     stopped: str = ""  # kind of the clue of a stop
+    stops: list[Clue] = field(default_factory=list)
+    moves: bool = False  # it is event-driven: it comes while something moves
     # in excess
     rapid: Rolling = field(default_factory=lambda: Rolling(BABBLE_WINDOW))
     babbles: bool = False
@@ -248,7 +251,7 @@ class SyncIntervals:
     def _hold_ns(self, pdo: SeenPdo, begin: int) -> int:
         """Return the time within which a command explains that a PDO is missing: longer while its drive is disarmed."""
         disarmed = pdo.node is not None and self.bus.is_disarmed(pdo.node, begin)
-        return max(self._at_once_ns, DISARMED_NS if disarmed else 0)
+        return max(self._at_once_ns, ENDING_NS if disarmed or not pdo.sends else 0)
 
     def _excused(self, node: int | None, until_ns: int) -> bool:
         """Return whether NMT commands until a time [ns] explain that a PDO stops."""
@@ -268,7 +271,8 @@ class SyncIntervals:
     def _begin_missing(self, pdo: SeenPdo, begin: int, row: int) -> None:
         pdo.held = None
         text = f"no {pdo.name} after SYNC" if pdo.sends else f"no {pdo.name}: set-points do not come"
-        self.clues.begin(pdo.kind, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=begin)
+        text, who = self.bus.pdo_end(pdo.key, begin, begin + self._hold_ns(pdo, begin), text)
+        self.clues.begin(pdo.kind, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=begin).who = who
 
     def _again(self, pdo: SeenPdo, t_ns: int) -> None:
         if pdo.held is not None:

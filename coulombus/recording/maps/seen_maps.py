@@ -74,8 +74,8 @@ class Field:
 class Map:
     """A PDO: its node, number and fields.
 
-    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None if the
-    transmission type is unknown; `event_ns` and `inhibit_ns` are 0 if event timer or inhibit time
+    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `transmission` is None if the type is
+    unknown; `event_ns` and `inhibit_ns` are 0 if event timer or inhibit time
     is unknown.
     """
 
@@ -85,9 +85,19 @@ class Map:
     number: int
     fields: tuple[Field, ...]
     source: str
-    synchronous: bool | None = None
+    transmission: int | None = None
     event_ns: int = 0
     inhibit_ns: int = 0
+
+    @property
+    def synchronous(self) -> bool | None:
+        """Whether it follows SYNC; None: unknown."""
+        return None if self.transmission is None else self.transmission <= 240
+
+    @property
+    def each_sync(self) -> bool | None:
+        """Whether it follows each SYNC; None: unknown, or it comes after some of them (types 0 and 2 to 240)."""
+        return None if self.synchronous and self.transmission != 1 else self.synchronous
 
     @property
     def name(self) -> str:
@@ -132,7 +142,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
             layout.number,
             fields,
             "rig",
-            synchronous=layout.transmission <= 240,
+            transmission=layout.transmission,
             event_ns=layout.event_ns if layout.direction == "tpdo" else 0,
             inhibit_ns=layout.inhibit_ns if layout.direction == "tpdo" else 0,
         )
@@ -223,8 +233,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
     if cob_id is None:
         cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
     can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
-    synchronous = None if transmission is None else transmission <= 240
-    return Map(can_id, node.number, direction, number, fields, source, synchronous, event_ns, inhibit_ns)
+    return Map(can_id, node.number, direction, number, fields, source, transmission, event_ns, inhibit_ns)
 
 
 def _fields_of(layout: PdoLayout) -> tuple[Field, ...]:
