@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from coulombus.eds.cia301 import NmtCommand, NmtState
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.eds.cia305 import LssService
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order, Silence
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import error_check, error_text
@@ -56,12 +57,16 @@ class Nodes:
         self._loss: dict[int, Clue] = {}  # the open loss of a node
         self._returns: dict[int, int] = {}  # time of the first frame of a lost node
         self._waived: set[int] = set()  # nodes from which nothing is due: its absence is noted, or in order
+        self._ids: dict[int, int] = {}  # node ids that LSS gave, and when
         self._next_ns = NEVER  # nothing is overdue before
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a frame of NMT, heartbeat, guarding or EMCY."""
         if key == NMT:
             self._order(row, t_ns, word, length)
+        elif key == CobId.LSS_RX:
+            if word & 0xFF == LssService.CONFIGURE_NODE_ID:
+                self._ids[word >> 8 & 0xFF] = t_ns
         elif key & REMOTE:
             self._guard(block, row, t_ns, key & 0x7F)
         elif key >= HEARTBEAT:
@@ -154,11 +159,11 @@ class Nodes:
         self._waived.add(node.number)
         number, row = node.number, node.heartbeat_row
         last = self.bus.last_heard(block, number, at_ns)
+        if self._has_moved(last):
+            return
         if node.reset_ns >= 0:
             if last <= node.reset_ns + FLYING_NS:
-                text = (
-                    f"nothing comes from it since the command to reset at {self._at(node.reset_ns)}: it does not boot"
-                )
+                text = f"nothing comes from it since the reset command at {self._at(node.reset_ns)}: it does not boot"
                 self._lost(block, node, last, text, row, node.reset_ns + BOOT_NS)
             return
         if node.program_starts:
@@ -176,6 +181,15 @@ class Nodes:
         else:
             text = f"its heartbeats stop, its other frames still come: {self._due_text(node)}"
             self.clues.begin("heartbeat_lost", number, due, text, row=row, due_ns=due)
+
+    def _has_moved(self, last_ns: int) -> bool:
+        """Return whether a node that is silent since then boots with a node id that LSS gave it; each one counts once."""
+        for number, given_ns in self._ids.items():
+            node = self.bus.nodes.get(number)
+            if node is not None and node.first_ns == node.booted_ns > max(given_ns, last_ns):
+                del self._ids[number]
+                return True
+        return False
 
     def _programmed(self, node: SeenNode, t_ns: int) -> bool:
         return node.program_ns >= 0 and t_ns - node.program_ns < PROGRAM_NS

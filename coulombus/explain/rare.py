@@ -1,9 +1,10 @@
-"""Frames processed one by one in Python: NMT, EMCY, heartbeats, guarding and SDO."""
+"""Frames processed one by one in Python: NMT, EMCY, heartbeats, guarding, SDO, and requests of LSS."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from coulombus.eds.cia301 import CobId
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.nodes import Nodes
@@ -59,7 +60,7 @@ class RareFrames:
             function, number = bare & 0x780, bare & 0x7F
             mapped = function == EMCY and key in self.bus.maps
             if (
-                key == NMT
+                key in (NMT, CobId.LSS_RX)
                 or (number and function == HEARTBEAT)
                 or (number and key == bare and function in (SDO_TX, SDO_RX, EMCY) and not mapped)
             ):

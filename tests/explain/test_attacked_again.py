@@ -204,3 +204,10 @@ def test_a_request_of_a_wrong_length_is_the_clients():
         log.add(ms, 0x603, bytes.fromhex("4000100000"))
     incident = only(log.explained())
     assert (incident.root.kind, incident.node, incident.who) == ("service_length", 3, "client")
+
+
+def test_a_node_that_boots_with_the_id_that_lss_gave_it_is_not_lost():
+    log = machine(4, until=9000).boot(3, 3).beats(3, 63, 5000)
+    log.add(4000, 0x7E5, bytes((0x04, 1, 0, 0, 0, 0, 0, 0))).add(4010, 0x7E5, bytes((0x11, 13, 0, 0, 0, 0, 0, 0)))
+    log.add(4011, 0x7E4, bytes((0x11, 0, 0, 0, 0, 0, 0, 0))).order(5000, 0x81, 3).boot(13, 6000)
+    assert log.beats(13, 6100, 9000, state=0x7F).explained().verdict == "ok"
