@@ -16,11 +16,13 @@ from typing import NamedTuple
 
 from coulombus.monitor.decode import BareDecoder, Row, as_text
 from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.sim_bus.faults.fault_file import FaultPlan
+from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.system.foreign_text import printable
 from coulombus.wire.frame import Records
 
-__all__ = ["BusLog", "LoggedNetwork"]
+__all__ = ["BusLog", "LoggedNetwork", "inject"]
 
 REPORTED = 100
 """Lines of the log in a failure report, the newest."""
@@ -146,6 +148,25 @@ class LoggedNetwork(VirtualNetwork):
     def __init__(self) -> None:
         super().__init__()
         self.log = BusLog(self, self.flush)
+
+    def inject(self, plan: FaultPlan, seed: int = 0) -> None:
+        """Inject faults; their times count from now."""
+        inject(self, plan, seed, self.log)
+
+
+def inject(world: VirtualNetwork, plan: FaultPlan, seed: int, log: BusLog) -> None:
+    """Inject faults on the bus of `world` from now on, with a line in its log for each.
+
+    Raises
+    ------
+    coulombus.sim_bus.faults.fault_file.FaultError
+        a fault is of a node that is not on this bus
+    RuntimeError
+        the bus has faults already
+    """
+    if world.injection is not None:
+        raise RuntimeError("this bus has faults already: write all faults of a test together")
+    Injection(world, plan, seed, log.mark)
 
 
 def _line(row: Row) -> _Line:

@@ -85,7 +85,7 @@ def rig(request: pytest.FixtureRequest, _coulombus: None, _bus_end: ExitStack) -
 def faults(request: pytest.FixtureRequest) -> Callable[..., None]:
     """Return a function that injects the faults of a TOML text or file, on `can_bus` or on another bus."""
 
-    def inject(text: str | Path, bus: ServedBus | None = None, seed: int = 0) -> None:
+    def inject(text: str | Path, bus: ServedBus | LoggedNetwork | None = None, seed: int = 0) -> None:
         from coulombus.sim_bus.faults.fault_file import faults_of, read_faults
 
         plan = read_faults(_beside(request, text)) if isinstance(text, Path) else faults_of(text, "faults")

@@ -18,13 +18,12 @@ from typing import TypeVar
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.description import Value
 from coulombus.eds.object_name import object_key
-from coulombus.lab.bus_log import BusLog
+from coulombus.lab.bus_log import BusLog, inject
 from coulombus.node.device import Device
 from coulombus.node.kinds import named
 from coulombus.node.profile import Key
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import FaultPlan
-from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.network import CAPACITY, VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import BIT_RATE, LiveNodes
 from coulombus.sim_bus.server.precompile import warm_up
@@ -98,7 +97,11 @@ class ServedBus:
         ready = threading.Event()
         self._thread = threading.Thread(target=self._run, args=(ready,), name=str(self.address), daemon=True)
         self._thread.start()
-        ready.wait()
+        try:
+            ready.wait()
+        except BaseException:  # an interrupt: the test has no bus to end yet
+            self.close()
+            raise
 
     def _run(self, ready: threading.Event) -> None:
         try:
@@ -156,22 +159,8 @@ class ServedBus:
                 self.log.assert_said(f"heartbeat boot-up node {node_id}")
 
     def inject(self, plan: FaultPlan, seed: int = 0) -> None:
-        """Inject faults; their times count from now.
-
-        Raises
-        ------
-        coulombus.sim_bus.faults.fault_file.FaultError
-            a fault is of a node that is not on this bus
-        RuntimeError
-            the bus has faults already
-        """
-
-        def begin() -> None:
-            if self._server.world.injection is not None:
-                raise RuntimeError(f"bus {self.address} has faults already: write all of a test's faults together")
-            Injection(self._server.world, plan, seed, self.log.mark)
-
-        self.call(begin)
+        """Inject faults; their times count from now."""
+        self.call(lambda: inject(self._server.world, plan, seed, self.log))
 
     def power(self, device: Device, on: bool) -> None:
         """Switch a device on or off."""
@@ -180,8 +169,9 @@ class ServedBus:
         self.call(lambda: world.power_on(row) if on else world.power_off(row))
 
     def close(self) -> None:
-        """End the bus; its clients' connections end with it."""
-        self._server.stop()
+        """End the bus, and its clients' connections with it; may be called again."""
+        if self._thread.is_alive():
+            self._server.stop()
         self._thread.join()
         self._server.close()
 

@@ -141,7 +141,10 @@ def test_sarif(run):
     first, last, refused = ran["results"][0], ran["results"][-1], ran["results"][-2]
     line = (HEAD + variable(DefaultValue="007")).split("\n").index("DefaultValue=007") + 1
     assert places[0]["region"] == {"startLine": line}
-    assert (first["level"], first["message"]["text"]) == ("warning", "[2000] DefaultValue=007 is zero-padded; assumed 7")
+    assert (first["level"], first["message"]["text"]) == (
+        "warning",
+        "[2000] DefaultValue=007 is zero-padded; assumed 7",
+    )
     assert (refused["ruleId"], refused["level"], uris[-2]) == ("refused", "error", "bad.eds")
     assert (last["ruleId"], "region" in places[-1]) == ("refused", False)
 

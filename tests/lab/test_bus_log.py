@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.lab.bus_log import LoggedNetwork
+from coulombus.sim_bus.faults.fault_file import faults_of
 from places import EDS
 
 MS = 1_000_000
@@ -108,6 +109,35 @@ def test_a_marker_stands_at_its_time():
     log.mark(15 * MS, "fault drop")
     assert [("fault" in line, "nmt" in line) for line in log.lines()[1:]] == [(0, 1), (1, 0), (0, 1)]
     assert log.said("fault drop")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_same_seed_gives_the_same_faults(seed):
+    def lines(seed):
+        network = LoggedNetwork()
+        network.add(EDS / "motor.eds", 5)
+        station = network.station()
+        network.inject(faults_of('[[fault]]\nkind = "noise"\nrate = 1e-3', "faults"), seed)
+        network.power_on()
+        for n in range(40):
+            station.send(*NMT_START, at_ns=n * MS)
+        network.wait_ns(50 * MS)
+        assert network.log.said("error")
+        with pytest.raises(RuntimeError, match="has faults already"):
+            network.inject(faults_of('[[fault]]\nkind = "stuck_dominant"', "faults"))
+        return network.log.lines()
+
+    assert lines(seed) == lines(seed) != lines(seed + 1)
+
+
+def test_faults_count_from_their_injection():
+    network = network_with(NMT_START)
+    begin = network.t_ns
+    network.inject(faults_of('[[fault]]\nkind = "reset"\nnode = 5\nat_s = 0.005', "faults"))
+    network.wait_ns(20 * MS)
+    (line,) = network.log.said("fault reset")
+    assert float(line.split()[0]) == pytest.approx((begin + 5 * MS) / 1e9, abs=1e-6)
+    assert len(network.log.said("heartbeat boot-up")) == 2
 
 
 def test_the_same_frames_give_the_same_bytes():
