@@ -30,7 +30,7 @@ class DriveHost:
         self.node = network.add_node(node_id, str(EDS))
         self.emergencies: list[int] = []
         self.node.emcy.add_callback(lambda error: self.emergencies.append(error.code))
-        self.node.sdo.RESPONSE_TIMEOUT, self.node.sdo.MAX_RETRIES = 0.2, 2
+        self.node.sdo.RESPONSE_TIMEOUT, self.node.sdo.MAX_RETRIES = 0.5, 3
 
     def configure(self) -> None:
         """Check the device, then let it send heartbeats and start it."""
@@ -64,13 +64,13 @@ class DriveHost:
             0x200 + self.node.id, ENABLE.to_bytes(2, "little") + velocity.to_bytes(4, "little", signed=True)
         )
 
-    def read(self) -> tuple[int, int]:
+    def read(self, timeout_s: float = 1.0) -> tuple[int, int]:
         """Return statusword and velocity, which the drive sends by TPDO after a SYNC."""
         answers: list[bytes] = []
         can_id = 0x180 + self.node.id
         self.network.subscribe(can_id, lambda _, data, __: answers.append(bytes(data)))
         self.network.sync.transmit()
-        end = time.monotonic() + 0.2
+        end = time.monotonic() + timeout_s
         while not answers and time.monotonic() < end:
             time.sleep(0.001)
         self.network.unsubscribe(can_id)
@@ -78,7 +78,7 @@ class DriveHost:
             raise DriveError(f"node {self.node.id} does not answer SYNC")
         return int.from_bytes(answers[0][:2], "little"), int.from_bytes(answers[0][2:6], "little", signed=True)
 
-    def alive(self, timeout_s: float = 0.2) -> bool:
+    def alive(self, timeout_s: float = 1.0) -> bool:
         """Tell whether a heartbeat comes in time."""
         try:
             self.node.nmt.wait_for_heartbeat(timeout_s)

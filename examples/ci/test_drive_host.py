@@ -52,8 +52,10 @@ def test_device_of_another_profile_is_refused(host, drive, can_bus):
 
 
 def test_missing_node_is_reported(network, can_bus):
+    host = DriveHost(network, 6)
+    host.node.sdo.RESPONSE_TIMEOUT = 0.05
     with pytest.raises(canopen.SdoCommunicationError):
-        DriveHost(network, 6).configure()
+        host.configure()
     assert not can_bus.log.said("NMT start")
 
 
@@ -128,22 +130,23 @@ def test_status_comes_by_tpdo(host, can_bus):
 
 def test_host_survives_a_lost_response(host, faults, can_bus):
     faults('[[fault]]\nkind = "drop"\non = "1st SDO RESPONSE of node 5"')
+    host.node.sdo.RESPONSE_TIMEOUT = 0.1
     host.configure()
-    assert len(can_bus.log.said("SDO read 1000h")) == 2
+    assert len(can_bus.log.said("SDO read 1000h")) >= 2
 
 
 def test_missing_tpdo_is_an_error(host, faults):
     host.configure()
     faults('[[fault]]\nkind = "drop"\non = "every 1st TPDO1 of node 5"')
     with pytest.raises(DriveError, match="does not answer SYNC"):
-        host.read()
+        host.read(timeout_s=0.1)
 
 
 def test_drive_without_power_is_noticed(host, drive):
     host.configure()
     assert host.alive()
     drive.power_off()
-    assert not host.alive()
+    assert not host.alive(timeout_s=0.1)
 
 
 def test_bit_errors_are_repaired_by_the_bus(host, faults, can_bus):
