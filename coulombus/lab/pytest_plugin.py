@@ -23,9 +23,8 @@ _LOGS = pytest.StashKey[dict[str, "BusLog"]]()
 
 
 @pytest.fixture(scope="session")
-def _coulombus(pytestconfig: pytest.Config) -> None:
-    """Report a compilation, and remove the sockets of killed processes."""
-    from coulombus.lab.served_bus import remove_stale
+def _compile_notice(pytestconfig: pytest.Config) -> None:
+    """Report a compilation, which takes long."""
 
     def say() -> None:
         terminal = pytestconfig.pluginmanager.get_plugin("terminalreporter")
@@ -35,6 +34,13 @@ def _coulombus(pytestconfig: pytest.Config) -> None:
                 terminal.write_line("\ncoulombus: compiling the bus, once on this machine, a minute or two ...")
 
     on_compiling(say)
+
+
+@pytest.fixture(scope="session")
+def _live(_compile_notice: None) -> None:
+    """Remove the sockets of killed processes; an error on a system without live buses."""
+    from coulombus.lab.served_bus import remove_stale
+
     remove_stale()
 
 
@@ -52,7 +58,7 @@ def _kept(request: pytest.FixtureRequest, stack: ExitStack, bus: ServedBus) -> S
 
 
 @pytest.fixture
-def can_bus(request: pytest.FixtureRequest, _coulombus: None, _bus_end: ExitStack) -> ServedBus:
+def can_bus(request: pytest.FixtureRequest, _live: None, _bus_end: ExitStack) -> ServedBus:
     """Return a virtual CAN bus of this test: `can_bus.channel` is its name for python-can."""
     from coulombus.lab.served_bus import empty_bus
 
@@ -70,7 +76,7 @@ def canopen_node(request: pytest.FixtureRequest, can_bus: ServedBus) -> Callable
 
 
 @pytest.fixture
-def rig(request: pytest.FixtureRequest, _coulombus: None, _bus_end: ExitStack) -> Callable[..., ServedBus]:
+def rig(request: pytest.FixtureRequest, _live: None, _bus_end: ExitStack) -> Callable[..., ServedBus]:
     """Return a function that serves a rig on a bus of its own: ``rig("bench")``."""
     from coulombus.lab.served_bus import rig_bus
 
@@ -95,7 +101,7 @@ def faults(request: pytest.FixtureRequest) -> Callable[..., None]:
 
 
 @pytest.fixture
-def virtual_network(request: pytest.FixtureRequest, _coulombus: None) -> LoggedNetwork:
+def virtual_network(request: pytest.FixtureRequest, _compile_notice: None) -> LoggedNetwork:
     """Return a network in virtual time, which the test lets pass; its `log` is that of `can_bus`."""
     from coulombus.lab.bus_log import LoggedNetwork
 

@@ -204,6 +204,19 @@ def test_the_socket_of_a_killed_process_is_removed(project, short_path):
     project("def test_one(can_bus): pass").assert_outcomes(passed=1)
 
 
+def test_without_linux_virtual_time_works_and_a_live_bus_is_an_error(tmp_path):
+    (tmp_path / "test_both.py").write_text(
+        "def test_virtual(virtual_network): virtual_network.wait_ns(1)\ndef test_live(can_bus): pass\n"
+    )
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT / 'tests/support')!r}); import pytest, elsewhere; elsewhere.hide(); "
+    )
+    code += "pytest.main(['-p', 'no:cacheprovider', '-p', 'no:faulthandler'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, cwd=tmp_path)
+    assert "1 passed, 1 error" in done.stdout, done.stdout + done.stderr
+    assert "NeedsLinux: this needs Linux" in done.stdout
+
+
 def test_projects_without_a_bus_do_not_load_it(tmp_path):
     code = "import sys, pytest; pytest.main(['--version']); sys.exit(bool({'numba', 'canopen'} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60, cwd=tmp_path)
