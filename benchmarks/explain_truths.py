@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from benchmarks.explain_bus import Machine
+from coulombus.explain.bus import Bus
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
 from coulombus.recording.maps.eds_files import EdsFiles
@@ -72,14 +73,16 @@ class Outcome:
             return NOTHING
         return (
             True,
-            all(
-                (None if incident.node and bus.is_host(incident.node, incident.begin_ns) else incident.node)
-                == truth.node
-                for truth, incident in pairs
-            ),
+            all((None if _is_host(bus, incident) else incident.node) == truth.node for truth, incident in pairs),
             all(incident.status in truth.states for truth, incident in pairs),
             all(incident.who in truth.culprits or not truth.culprits for truth, incident in pairs),
         )
+
+
+def _is_host(bus: Bus, incident: Incident) -> bool:
+    """Return whether an incident is about the host."""
+    is_lost = incident.root.kind == "host_lost"
+    return is_lost or (incident.node is not None and bus.is_host(incident.node, incident.begin_ns))
 
 
 @dataclass

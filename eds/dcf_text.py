@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 
 from coulombus.eds.cia301 import DATA_TYPES
+from coulombus.eds.convert import eds_text
 from coulombus.eds.description import Description, Value, Variable
 from coulombus.eds.sections import OBJECT_SECTION
-from coulombus.eds.xdd import eds_text
 
 __all__ = ["configured", "with_values"]
 

@@ -63,6 +63,8 @@ class Variable:
     pdo_mappable: bool
     line: int
     unreadable: str = ""
+    unit: str = ""
+    """Unit of the raw number, if the file has one."""
 
     def admits(self, value: float) -> bool:
         """Tell whether a number is within the limits."""

@@ -62,6 +62,8 @@ class Entry:
     signed: bool
     kind: Literal["int", "real"]
     name: str
+    unit: str = ""
+    """Unit of the number, if the file has one."""
 
     @property
     def dummy(self) -> bool:
@@ -204,7 +206,9 @@ def entry_of(variable: Variable, bits: int = 0) -> Entry:
     real = data_type is not None and data_type.kind == "real"
     signed = data_type is not None and data_type.signed and not real
     return Entry(
-        variable.index, variable.subindex, bits or variable.bits, signed, "real" if real else "int", variable.name
+        *(variable.index, variable.subindex, bits or variable.bits, signed, "real" if real else "int"),
+        variable.name,
+        variable.unit,
     )
 
 

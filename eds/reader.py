@@ -28,7 +28,17 @@ from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.eds.sections import PDO_PARAMETERS, Section, alike, number_of
 from coulombus.eds.xdd import XddReader, is_xml
 
-__all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
+__all__ = [
+    "Description",
+    "Diagnosis",
+    "EdsError",
+    "Object",
+    "Value",
+    "Variable",
+    "parse_eds",
+    "parse_sections",
+    "read_eds",
+]
 
 TYPE_NAMES = {data_type.name: code for code, data_type in DATA_TYPES.items()}
 OBJECT_TYPES = (DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD)
@@ -59,13 +69,22 @@ def read_eds(path: str | Path) -> Description:
         The path is no regular file (a FIFO, a device: refused at once), cannot be opened, is too
         large, or describes no object at all.
     """
+    return parse_eds(_bytes_of(path), str(path))
+
+
+def parse_sections(raw: bytes, path: str) -> tuple[Description, FileReader]:
+    """Parse as `parse_eds`; return the sections, too, with the reader of their values."""
+    reader = (_XmlReader if is_xml(raw) else _Reader)(path, raw)
+    return reader.build(), reader
+
+
+def _bytes_of(path: str | Path) -> bytes:
     try:
-        raw = read_regular(path, MOST_BYTES)
+        return read_regular(path, MOST_BYTES)
     except OSError as error:
         why = error.strerror or type(error).__name__
         what = why if isinstance(error, NoRegularFile) else f"cannot be read ({why})"
         raise EdsError(f"{path}: {what}; expected an EDS or DCF file, or an XDD or XDC") from error
-    return parse_eds(raw, str(path))
 
 
 @lru_cache(maxsize=16)
@@ -79,7 +98,7 @@ def parse_eds(raw: bytes, path: str) -> Description:
         The file describes no object at all, or is XML but no XDD.
     """
     with _collector_at_rest():
-        return (_XmlReader if is_xml(raw) else _Reader)(path, raw).build()
+        return parse_sections(raw, path)[0]
 
 
 @contextmanager
@@ -252,7 +271,8 @@ class _Reader(FileReader):
         low, high = self.limits(section, code)
         mappable = bool(self.integer(section, "pdomapping", 0))
         variable = Variable(
-            index, subindex, name, code, access, default, relative, low, high, mappable, section.line, unreadable
+            *(index, subindex, name, code, access, default, relative, low, high, mappable, section.line, unreadable),
+            unit=section.get("unit") if section.get("factor") in ("", "1", "1.0") else "",
         )
         if isinstance(default, int | float) and not (relative or variable.admits(default)):
             text = f"{section.what('defaultvalue')}={section.shown('defaultvalue')} is outside its limits"

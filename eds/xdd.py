@@ -18,13 +18,13 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from coulombus.eds.description import Description, EdsError
+from coulombus.eds.description import EdsError
 from coulombus.eds.sections import Section, SectionReader, cut, number_of
 
 if TYPE_CHECKING:
     from coulombus.eds.xml_elements import XmlElement
 
-__all__ = ["XddReader", "eds_text", "is_xml"]
+__all__ = ["XddReader", "is_xml"]
 
 CONTAINER = "ISO15745ProfileContainer"
 OTHER_ROOTS: Mapping[str, tuple[str, str]] = {
@@ -56,7 +56,6 @@ KEYS: Mapping[str, str] = {
     "uniqueIDRef": "UniqueIDRef",
 }
 """Attributes of CANopenObject and CANopenSubObject, and the equivalent keys of CiA 306."""
-SPELLED = {key.lower(): key for key in KEYS.values()}
 VALUES = ("DefaultValue", "ParameterValue")
 IN_HEXADECIMAL = ("dataType", "objFlags")
 MAPPINGS = {"no": "0", "default": "1", "optional": "1", "tpdo": "1", "rpdo": "1"}
@@ -98,6 +97,7 @@ IDENTITY = {
     "vendorID": "VendorNumber",
     "productName": "ProductName",
     "productID": "ProductNumber",
+    "orderNumber": "OrderCode",
 }
 FEATURES = {
     "granularity": "Granularity",
@@ -106,9 +106,27 @@ FEATURES = {
     "layerSettingServiceSlave": "LSS_Supported",
     "bootUpSlave": "SimpleBootUpSlave",
     "groupMessaging": "GroupMessaging",
+    "dynamicChannels": "DynamicChannelsSupported",
 }
+FILE = {
+    "fileName": "FileName",
+    "fileVersion": "FileVersion",
+    "fileCreator": "CreatedBy",
+    "fileCreationDate": "CreationDate",
+    "fileCreationTime": "CreationTime",
+    "fileModifiedBy": "ModifiedBy",
+    "fileModificationDate": "ModificationDate",
+    "fileModificationTime": "ModificationTime",
+}
+"""Attributes of a ProfileBody, and the keys of [FileInfo]."""
+COMMISSIONING = {
+    "nodeName": "NodeName",
+    "networkNumber": "NetNumber",
+    "networkName": "NetworkName",
+    "CANopenManager": "CANopenManager",
+}
+"""Further attributes of deviceCommissioning, and the keys of [DeviceComissioning]."""
 TRUTH = {"true": "1", "false": "0"}
-LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 MANDATORY, MANUFACTURER = (0x1000, 0x1001, 0x1018), range(0x2000, 0x6000)
 
 MOST_CHARACTERS = 1 << 24
@@ -125,29 +143,6 @@ def is_xml(raw: bytes | str) -> bool:
     """Tell whether a file is XML (or HTML) by its first characters: no EDS begins with ``<``."""
     head = raw[:400].decode("latin-1") if isinstance(raw, bytes) else raw[:400]
     return _START.match(head.lstrip("\xef\xbb\xbf\xfe\xff\ufeff").replace("\0", "")) is not None
-
-
-def eds_text(description: Description) -> str:
-    """Return a description's text in CiA 306's form: an EDS or DCF unchanged, the objects of an XDD or XDC
-    as sections.
-    """
-    if not is_xml(description.text):
-        return description.text
-    sections = XddReader(description.path, description.text.encode()).sections
-    indices = sorted({section.index for section in sections.values() if section.index >= 0x1000})
-    groups = [
-        [index for index in indices if index in MANDATORY],
-        [index for index in indices if index not in MANDATORY and index not in MANUFACTURER],
-        [index for index in indices if index in MANUFACTURER],
-    ]
-    lines: list[str] = []
-    for name, group in zip(LISTS, groups, strict=True):
-        rows = [f"{number}=0x{index:04X}" for number, index in enumerate(group, 1)]
-        lines += [f"[{name}]", f"SupportedObjects={len(group)}", *rows, ""]
-    for section in sorted(sections.values(), key=lambda section: (section.index, section.subindex)):
-        keys = (f"{SPELLED.get(key, section.spelled[key])}={text}" for key, (text, _) in section.entries.items())
-        lines += [f"[{section.name}]", *keys, ""]
-    return "\n".join(lines)
 
 
 class XddReader(SectionReader):
@@ -294,11 +289,13 @@ class XddReader(SectionReader):
         structured = section.subindex < 0 and f"{section.index:04x}sub0" in self.sections
         for source in (parameter, *((template,) if template is not None else ())):
             for key, spelled, text, at in _of_parameter(source):
-                if structured and key != "ParameterName":
+                if structured and key not in ("ParameterName", "Description"):
                     continue  # an array's or record's value belongs to its sub-indices
                 if not section.get(key.lower()):
                     section.entries.pop(key.lower(), None)
                     self.put(section, key, spelled, text, at)
+                elif key == "AccessType" and section.get("accesstype").lower() == "rw" and text in ONE_WAY.values():
+                    section.entries["accesstype"] = (text, at)  # the parameter tells more than accessType can
                 elif key in VALUES and source is parameter:
                     self.enter_again(section, key.lower(), spelled, text, at)
         if not structured and not section.get("accesstype"):
@@ -319,9 +316,9 @@ class XddReader(SectionReader):
         """Add the data of the file, of the device and of its commissioning."""
         profile = root.first("ProfileBody")
         file = self.other("FileInfo", profile or root)
-        for spelled, key in (("fileName", "FileName"), ("fileVersion", "FileVersion"), ("fileCreator", "CreatedBy")):
+        for spelled, key in FILE.items():
             if profile is not None and spelled in profile.attributes:
-                self.put(file, key, key, profile.attributes[spelled], profile.line)
+                self.put(file, key, key, _moment(profile.attributes[spelled].strip()), profile.line)
         identity, features = root.first("DeviceIdentity"), root.first("CANopenGeneralFeatures")
         device = self.other("DeviceInfo", identity or features or root)
         for spelled, key in IDENTITY.items():
@@ -332,6 +329,11 @@ class XddReader(SectionReader):
             if features is not None and spelled in features.attributes:
                 text = features.attributes[spelled].strip()
                 self.put(device, key, key, TRUTH.get(text.lower(), text), features.line)
+        master = root.first("CANopenMasterFeatures")
+        if master is not None and "bootUpMaster" in master.attributes:
+            text = master.attributes["bootUpMaster"].strip()
+            self.put(device, "SimpleBootUpMaster", "SimpleBootUpMaster", TRUTH.get(text.lower(), text), master.line)
+        self.enter_comments(identity)
         rates = root.first("baudRate")
         for rate in rates.of("supportedBaudRate") if rates is not None else ():
             if number := re.match(r"\s*(\d{1,4})\b", rate.attributes.get("value", "")):
@@ -345,15 +347,31 @@ class XddReader(SectionReader):
             self.put(section, "NrOfSeg", "NrOfSeg", str(len(channels)), section.line)
         self.enter_commissioning(root)
 
+    def enter_comments(self, identity: XmlElement | None) -> None:
+        """Add the product's description as [Comments], line by line."""
+        product = identity.first("productText") if identity is not None else None
+        text = product.first("description") if product is not None else None
+        rows = text.text.strip().splitlines() if text is not None else []
+        if text is not None and rows:
+            section = self.other("Comments", text)
+            self.put(section, "Lines", "Lines", str(len(rows)), text.line)
+            for number, row in enumerate(rows, 1):
+                self.put(section, f"Line{number}", f"Line{number}", row, text.line)
+
     def enter_commissioning(self, root: XmlElement) -> None:
         """Add node id and bit rate of an XDC; node id 0 means none."""
         element = root.first("deviceCommissioning")
-        if element is None or element.attributes.get("nodeID", "0").strip() in ("", "0", "0x00", "0x0"):
+        if element is None:
             return
         section = self.other("DeviceComissioning", element)
-        self.put(section, "NodeID", "nodeID", element.attributes["nodeID"], element.line)
+        if element.attributes.get("nodeID", "0").strip() not in ("", "0", "0x00", "0x0"):
+            self.put(section, "NodeID", "nodeID", element.attributes["nodeID"], element.line)
         if rate := re.match(r"\s*(\d{1,4})\b", element.attributes.get("actualBaudRate", "")):
             self.put(section, "Baudrate", "actualBaudRate", rate[1], element.line)
+        for spelled, key in COMMISSIONING.items():
+            if spelled in element.attributes:
+                text = element.attributes[spelled].strip()
+                self.put(section, key, key, TRUTH.get(text.lower(), text), element.line)
 
     def other(self, name: str, element: XmlElement) -> Section:
         """Return a section that belongs to no object."""
@@ -363,11 +381,27 @@ class XddReader(SectionReader):
         """Do nothing: an XDD has no lists of objects; the elements themselves are the list."""
 
 
+def _moment(text: str) -> str:
+    """Return a date as MM-DD-YYYY and a time as hh:mmAM (CiA 306); other texts unchanged."""
+    if date := re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)\S*", text):
+        return f"{date[2]}-{date[3]}-{date[1]}"
+    if time := re.fullmatch(r"(\d\d):(\d\d)(?::\d\d)?(?:[.Z+-]\S*)?", text):
+        hour = int(time[1])
+        return f"{(hour - 1) % 12 + 1:02}:{time[2]}{'AM' if hour < 12 else 'PM'}"
+    return text
+
+
 def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
     """Yield key, its XML name, value and line of each attribute of a parameter."""
     labels = sorted(parameter.of("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en"))
     for label in labels[:1]:
         yield "ParameterName", "label", " ".join(label.text.split()), label.line
+    for description in parameter.of("description")[:1]:
+        yield "Description", "description", " ".join(description.text.split()), description.line
+    for unit in parameter.of("unit")[:1]:
+        symbol = unit.first("label")
+        yield "Unit", "unit", "" if symbol is None else " ".join(symbol.text.split()), unit.line
+        yield "Factor", "multiplier", unit.attributes.get("multiplier", "").strip(), unit.line
     access = parameter.attributes.get("access", "").strip()
     if access:
         yield "AccessType", "access", ACCESS.get(access.lower(), access), parameter.line

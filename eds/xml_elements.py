@@ -21,7 +21,7 @@ __all__ = ["XmlElement", "read_elements"]
 MOST_ELEMENTS = 500_000
 """A drive of 3,000 objects has about 40,000: thirteen per object with its parameter."""
 MOST_DEEP = 64
-MOST_TEXT = 1000
+MOST_TEXT = 4000
 """Largest number of characters kept between an element's tags."""
 REMEDY = "expected the XDD or XDC file (CiA 311) as the device's maker gives it"
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from coulombus.eds.cia301 import ARRAY, RECORD, Abort
-from coulombus.eds.xdd import eds_text
+from coulombus.eds.convert import eds_text
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.parameters import RESTORE, STORE, Parameters

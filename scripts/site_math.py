@@ -25,6 +25,8 @@ CODE = re.compile(r"<(pre|code|script|style|math)\b.*?</\1>", re.S)
 RAW = re.compile(r":math:|\.\. math::|\$\$|class=\"arithmatex\"")
 BAR = re.compile(r"<mo( stretchy=\"false\")?>(&#x0007C;|&#x02016;)</mo>")
 FUNCTION = re.compile(r"<mi>(sin|cos|tan|tanh|arctan|exp|ln|log)</mi>(?!<mo[^>]*>&#x00028;)")
+NAMED = re.compile(r"<mo>([A-Za-z]{2,})</mo>(?=(<mo[^>]*>&#x00028;)?)")
+"""A function named by the author, and the parenthesis after it."""
 TAG = re.compile(r"\\tag\{([^{}]*)\}")
 STYLE = (
     "<style>math{font-family:'STIX Two Math','Latin Modern Math','Cambria Math','TeX Gyre Termes Math',"
@@ -57,6 +59,7 @@ def mathml(latex: str, block: bool = False) -> str:
         raise ValueError(f"no formula: {latex!r}: {unread[0]!r} is not understood")
     made = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\2</mo>', made)  # else spaced as between two terms
     made = FUNCTION.sub(r'<mo form="prefix" lspace="0.17em" rspace="0.17em">\1</mo>', made)
+    made = NAMED.sub(lambda m: f'<mo form="prefix" lspace="0.17em" rspace="{0 if m[2] else 0.17}em">{m[1]}</mo>', made)
     return made.replace("<math ", f'<math alttext="{escape(" ".join(latex.split()), quote=True)}" ', 1)
 
 

@@ -15,6 +15,7 @@ from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.server.bridge import Between
+    from coulombus.wire.address import BusAddress
 
 __all__ = ["bridge"]
 
@@ -70,7 +71,12 @@ def bridge(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Join two buses, each coulombus:NAME or socketcan:IF: what one carries is sent on the other.
+    """Join two buses, coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL: what one carries is sent
+    on the other.
+
+    An end socketcand:HOST:PORT serves the other end to programs that speak socketcand's protocol: python-can,
+    SavvyCAN, and others on this machine, or elsewhere if HOST is no loopback: there is no password.
+    Options of an adapter follow its name: can:slcan:/dev/ttyACM0?bitrate=500000.
 
     Ends with 0 on Ctrl-C, SIGTERM, SIGHUP, SIGQUIT or after --seconds, with 4 when a bus goes away.
 
@@ -79,19 +85,20 @@ def bridge(
       coulombus bridge coulombus:bench socketcan:vcan0
       coulombus bridge coulombus:bench socketcan:can0 --ids 181,182,281 --one-way
       coulombus bridge coulombus:a coulombus:b --delay-ms 2 --drop 0.01 --seed 7
+      coulombus bridge coulombus:bench socketcand:127.0.0.1:29536
     """
     with errors():
         from coulombus.sim_bus.server.bridge import bridge as join
         from coulombus.wire.address import parse_address
         from coulombus.wire.identifiers import parse_identifiers
 
-        ends = parse_address(a), parse_address(b)
+        ends = parse_address(a, ("can", "socketcand")), parse_address(b, ("can", "socketcand"))
         ranges = () if ids_text is None else parse_identifiers(ids_text)
 
-        def ready() -> None:
-            text = f"{a} and {b} are joined; Ctrl-C ends it"
+        def ready(left: BusAddress, right: BusAddress) -> None:
+            text = f"{left} and {right} are joined; Ctrl-C ends it"
             with printed():  # the buses are joined even if the reader of stdout has gone
-                echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
+                echo(json.dumps({"event": "ready", "a": str(left), "b": str(right)}) if as_json else text)
 
         result = join(
             *ends,
@@ -101,6 +108,7 @@ def bridge(
             one_way=one_way,
             seconds=seconds,
             ready=ready,
+            say=lambda text: say(f"coulombus: {text}"),
         )
         if result.gone:
             say(f"coulombus: {result.gone}")

@@ -73,9 +73,9 @@ def _hold_against(findings: _Findings, bus_name: str) -> None:
     """Refuse a rig file whose position scale differs from the drives on a bus (DeviceMismatch)."""
     from coulombus.host.devices.scan import survey
     from coulombus.host.errors import DeviceMismatch, NodeMissing
-    from coulombus.wire.address import parse_address
+    from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-    answered = {answers.node_id: answers.numbers for answers in survey(parse_address(bus_name))}
+    answered = {answers.node_id: answers.numbers for answers in survey(parse_address(bus_name, WITH_ADAPTERS))}
     differences: dict[str, None] = {}
     for plan in (plan for plans in findings.by_mode.values() for plan in plans):
         if plan.position is None or plan.position.accepted:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BUS_VARIABLE",
     "MODES",
+    "adapter_option",
+    "any_bus_option",
     "bus_option",
     "buses_option",
     "channel_option",
@@ -45,10 +47,13 @@ __all__ = [
     "shared_machine_option",
     "signals_option",
     "verdict",
+    "with_adapter_options",
 ]
 MODES = ("active", "passive", "hybrid")
 RIG_VARIABLE, BUS_VARIABLE = "COULOMBUS_RIG", "COULOMBUS_BUS"
 """Environment variables that are the defaults of --rig and --bus."""
+ADAPTER_OPTIONS = f"{__name__}.adapter_options"
+"""Key of a context: the values of --bus-option."""
 
 
 def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
@@ -157,6 +162,54 @@ bus_option = click.option(
     envvar=BUS_VARIABLE,
     metavar="B",
     help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]",
+)
+
+
+def _keep_options(context: click.Context, param: click.Parameter, pairs: tuple[str, ...]) -> None:
+    from coulombus.wire.address import AddressError, option_of
+
+    for pair in pairs:
+        try:
+            option_of(pair)
+        except AddressError as error:
+            raise click.BadParameter(str(error), context, param) from None
+    context.meta[ADAPTER_OPTIONS] = pairs
+
+
+def with_adapter_options(context: click.Context, param: click.Parameter, bus_name: str | None) -> str | None:
+    """Return the bus of --bus with the options of --bus-option: ``can:INTERFACE:CHANNEL?K=V&K=V``.
+
+    Raises
+    ------
+    click.UsageError
+        there are options, and no adapter
+    """
+    pairs = context.meta.get(ADAPTER_OPTIONS, ())
+    if not pairs:
+        return bus_name
+    if bus_name is None or not bus_name.startswith("can:"):
+        raise click.UsageError(
+            f"--bus-option {pairs[0]} is of an adapter of python-can: give --bus can:INTERFACE:CHANNEL, or leave it out"
+        )
+    return f"{bus_name}{'&' if '?' in bus_name else '?'}{'&'.join(pairs)}"
+
+
+adapter_option = click.option(
+    "--bus-option",
+    multiple=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_keep_options,
+    metavar="K=V",
+    help="Option of an adapter, as python-can names it: bitrate=500000. May be given several times.",
+)
+any_bus_option = click.option(
+    "--bus",
+    "bus_name",
+    envvar=BUS_VARIABLE,
+    metavar="B",
+    callback=with_adapter_options,
+    help="coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.  [default: coulombus:RIG]",
 )
 buses_option = click.option(
     "--bus",

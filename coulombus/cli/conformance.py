@@ -134,7 +134,7 @@ def conformance(
         from coulombus.conformance.tester.storage import intention
         from coulombus.conformance.tester.unit import Timing, Unit
         from coulombus.eds.reader import read_eds
-        from coulombus.wire.address import parse_address
+        from coulombus.wire.address import WITH_ADAPTERS, parse_address
         from coulombus.wire.bus_link import BusLink
 
         if not 0.01 <= tested.timeout <= LONGEST_TIMEOUT_S:
@@ -142,7 +142,7 @@ def conformance(
                 f"{tested.timeout}: expected 0.01 to {LONGEST_TIMEOUT_S:.0f} s", param_hint="--timeout"
             )
         cases = select(numbers)
-        address = parse_address(tested.bus_name)
+        address = parse_address(tested.bus_name, WITH_ADAPTERS)
         description = read_eds(tested.eds_path)
         with BusLink(address) as link:
             unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)

@@ -1,4 +1,4 @@
-"""``coulombus dbc``: the rig's PDOs and services as a DBC file."""
+"""``coulombus dbc``: PDOs and services as a DBC, KCD or SYM file."""
 
 from __future__ import annotations
 
@@ -6,46 +6,48 @@ from pathlib import Path
 
 import click
 
-from coulombus.cli.common import force_option, printed, rig_option, set_option
+from coulombus.cli.common import force_option, printed
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import OutputFile
-from coulombus.cli.rig_options import one_channel_option
+from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
 from coulombus.cli.tables import echo
 
 __all__ = ["dbc"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@one_channel_option
+@known_bus_options
 @click.option(
     "-o",
     "--out",
     type=OutputFile(),
     metavar="F.dbc",
-    help="Write the file there.  [default: stdout]",
+    help="Write the file there: .dbc, .kcd or .sym.  [default: a DBC file, to stdout]",
 )
 @force_option
-def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None, overwrite: bool) -> None:
-    """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
+def dbc(chosen: KnownBusOptions, out: Path | None, overwrite: bool) -> None:
+    """Write a DBC file of a rig's PDOs and services, or of devices by their EDS files, for cantools,
+    SavvyCAN, PlotJuggler.
+
+    Of an EDS file the PDOs are those that the device has at its start, with raw values, as
+    `coulombus decode --eds` prints them. With -o F.kcd or F.sym a KCD or SYM file.
 
     \b
     Examples:
       coulombus dbc --rig bench -o bench.dbc
+      coulombus dbc --eds 5=drive.eds --eds 6=io.xdd -o cell.dbc
       cantools monitor -i coulombus -c bench bench.dbc
       candump -L can0 | cantools decode bench.dbc
     """
     with errors():
-        from coulombus.monitor.dbc import dbc_text
+        from coulombus.monitor.dbc import WRITERS, database_text, file_encoding
         from coulombus.recording.output_file import new_file
-        from coulombus.rigs.buses import one_bus
-        from coulombus.rigs.rig import load_rig
 
-        text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
+        suffix = ".dbc" if out is None or out.suffix.lower() not in WRITERS else out.suffix.lower()
+        text = database_text(chosen.known()[0], suffix)
         if out is None:
             with printed():
                 echo(text, nl=False)
             return
         with new_file(out, force=overwrite) as path:
-            path.write_text(text, encoding="cp1252", errors="replace")  # the encoding that DBC readers expect
+            path.write_text(text, **file_encoding(suffix))

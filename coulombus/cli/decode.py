@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from coulombus.cli.common import file_channel_option, log_eds_option
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import InputPath
+from coulombus.cli.rig_options import LogOptions, log_options
 from coulombus.system.foreign_text import printable
 from coulombus.system.wrap_text import columns_of
 
@@ -18,11 +18,9 @@ __all__ = ["decode"]
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@log_eds_option
-@file_channel_option
+@log_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tuple[str, ...], as_json: bool) -> None:
+def decode(file: Path, log: LogOptions, as_json: bool) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
     Takes pcapng and other tools' logs (docs/recording.md lists their formats). Without a rig,
@@ -39,19 +37,15 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
     with errors():
         from coulombus.monitor.decode import as_json as as_json_line
         from coulombus.monitor.decode import as_text, bare_rows, fitted, rows, text_lines
-        from coulombus.recording.maps.eds_files import eds_files
         from coulombus.recording.reading import blocks, has_rig
         from coulombus.rigs.rig import load_rig
 
-        if rig_name is not None and eds:
-            raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
-        bare = rig_name is None and (bool(eds) or not has_rig(file))
+        files = log.files()
+        bare = log.rig_name is None and (bool(log.eds) or not has_rig(file))
         recording = None
         if not bare:
-            recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name), channel=channels)
+            recording = blocks(file, None if log.rig_name is None else load_rig(log.rig_name), log.channels)
             recording.inside = ()  # frames of the host's telemetry were on no bus
-        files = eds_files(eds)
-        remark(files.refused)
         remarks: list[str] = []
         out = sys.stdout
         width = columns_of(out)
@@ -63,7 +57,7 @@ def decode(file: Path, rig_name: str | None, eds: tuple[str, ...], channels: tup
             for lines in text_lines(recording):
                 out.writelines(map(written, lines))
         else:
-            for row in bare_rows(file, channels, files, remarks) if recording is None else rows(recording):
+            for row in bare_rows(file, log.channels, files, remarks) if recording is None else rows(recording):
                 out.write(written(as_json_line(row) if as_json else printable(as_text(row))))
         out.flush()
         remark(remarks if recording is None else recording.remarks)

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE, RIG_VARIABLE, load, say
+from coulombus.cli.common import BUS_VARIABLE, RIG_VARIABLE, adapter_option, load, say, with_adapter_options
 from coulombus.cli.errors import errors
 from coulombus.cli.option_types import SECONDS, InputPath
 from coulombus.system.foreign_text import printable
@@ -21,6 +21,8 @@ from coulombus.system.foreign_text import printable
 if TYPE_CHECKING:
     from coulombus.host.devices.device import KnownDevice
     from coulombus.wire.bus_link import BusLink
+
+Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 __all__ = [
     "DeviceOptions",
@@ -45,6 +47,7 @@ def _living_bus(context: click.Context, param: click.Parameter, bus_name: str | 
     click.MissingParameter
         none is served, or several are; a CAN interface is never chosen unasked
     """
+    bus_name = with_adapter_options(context, param, bus_name)
     if bus_name is not None or context.resilient_parsing:
         return bus_name
     from coulombus.wire.address import live_bus_names
@@ -56,14 +59,19 @@ def _living_bus(context: click.Context, param: click.Parameter, bus_name: str | 
     return f"coulombus:{names[0]}"
 
 
-devices_bus_option = click.option(
-    "--bus",
-    "bus_name",
-    metavar="B",
-    envvar=BUS_VARIABLE,
-    callback=_living_bus,
-    help="coulombus:NAME or socketcan:IF.  [default: the one virtual bus that is served]",
-)
+def devices_bus_option(verb: Verb) -> Verb:
+    """Add --bus and --bus-option, for a bus of any kind."""
+    bus = click.option(
+        "--bus",
+        "bus_name",
+        metavar="B",
+        envvar=BUS_VARIABLE,
+        callback=_living_bus,
+        help="coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.  [default: the one virtual bus that is served]",
+    )
+    return bus(adapter_option(verb))
+
+
 beside_option = click.option(
     "--beside-host", "beside", is_flag=True, help="Also while a host runs on the bus, at your own risk."
 )
@@ -106,7 +114,7 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         rig_name = given if isinstance(given, str) else os.environ.get(RIG_VARIABLE)
         if text.lstrip("+-").isdecimal() or rig_name is None:
             self.fail(
-                f"{text!r}: expected a node id, 1 to 127, or a node's name in the rig of COULOMBUS_RIG (or --rig)",
+                f"{text!r}: expected a node id, 1 to 127, or a node's name and its rig, as --rig bench (or COULOMBUS_RIG)",
                 param,
                 ctx,
             )
@@ -115,6 +123,10 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         if text not in ids:
             self.fail(f"{text!r}: the rig {rig_name} has the nodes {', '.join(ids)}", param, ctx)
         return ids[text]
+
+    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Return how a node is named."""
+        return "It is a node id, 1 to 127; or a node's name and its rig, as motor --rig bench"
 
 
 node_argument = click.argument("node_id", type=NodeArgument(), metavar="NODE")
@@ -138,10 +150,10 @@ def waiting_option(help_text: str) -> Callable[[Any], Any]:
 def open_link(bus_name: str, *, beside: bool = False) -> Iterator[BusLink]:
     """Open a bus for a service, alone or together with a host, which is then reported."""
     from coulombus.host.devices.running_host import FILTERS, check_alone
-    from coulombus.wire.address import parse_address
+    from coulombus.wire.address import WITH_ADAPTERS, parse_address
     from coulombus.wire.bus_link import BusLink
 
-    address = parse_address(bus_name)
+    address = parse_address(bus_name, WITH_ADAPTERS)
     with BusLink(address, FILTERS) as link:
         host = check_alone(link, address, beside=beside)
         if host:

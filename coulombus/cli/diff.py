@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.cli.common import file_channel_option, force_option, json_option, verdict
+from coulombus.cli.common import force_option, json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import PICTURE, InputPath
+from coulombus.cli.rig_options import LogOptions, log_options
 from coulombus.cli.tables import echo, print_table, table_console
 
 if TYPE_CHECKING:
@@ -46,8 +47,7 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
     help="The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
 )
 @click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached ones.")
-@file_channel_option
+@log_options
 @force_option
 @json_option
 def diff(
@@ -55,8 +55,7 @@ def diff(
     b: Path,
     tolerances: dict[str, float],
     out: Path | None,
-    rig_name: str | None,
-    channels: tuple[str, ...],
+    log: LogOptions,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -70,6 +69,7 @@ def diff(
     Examples:
       coulombus diff monday.pcapng tuesday.pcapng
       coulombus diff sim.pcapng rig.pcapng --tolerance Nm=0.1 --tolerance motor.position_rad=0.02 -o diff.png
+      coulombus diff before.log after.log --eds 5=drive.eds
     """
     with errors():
         from coulombus.recording.comparison import compare
@@ -79,7 +79,7 @@ def diff(
         reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
         if reason is not None:  # before two long recordings are read
             raise click.UsageError(reason)
-        comparison = compare(a, b, tolerances=tolerances, rig=rig_name, channel=channels)
+        comparison = compare(a, b, tolerances=tolerances, rig=log.rig_name, channel=log.channels, eds=log.files())
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences
             from coulombus.recording.pictures.plot import save_picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +12,17 @@ from urllib.parse import quote
 
 import click
 
-from coulombus.cli.common import json_option, verdict
-from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.common import force_option, json_option, say, verdict
+from coulombus.cli.device_options import (
+    LiveLine,
+    beside_option,
+    devices_bus_option,
+    node_argument,
+    open_link,
+    timeout_option,
+)
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import InputPath, OutputFile
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -63,6 +73,144 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, sarif: bool, a
             else:
                 for result in results:
                     _print(result, pdos)
+
+
+@eds.command("convert", epilog=EXIT_STATUS)
+@click.argument("a", metavar="A", type=InputPath())
+@click.argument("b", metavar="B", type=OutputFile(".eds", ".dcf", ".xdd", ".xdc"))
+@force_option
+@json_option
+def convert_command(a: Path, b: Path, overwrite: bool, as_json: bool) -> None:
+    """Write the EDS, DCF, XDD or XDC file A as B, in the form of B's ending.
+
+    B has every object with its name, type, access, default, limits, PDO mapping, unit and
+    description, and the data of the file and of the device. What B's form cannot say is printed, a
+    line each. An EDS or XDD has no configured values: those of a DCF or XDC are left out.
+
+    \b
+    Examples:
+      coulombus eds convert drive.eds drive.xdd
+      coulombus eds convert drive.xdd drive.eds --overwrite
+      coulombus eds convert axis5.dcf axis5.xdc --json | jq .left_out
+    """
+    with errors():
+        from coulombus.eds.convert import converted
+        from coulombus.recording.output_file import new_file
+
+        text, left_out = converted(a, b.suffix.lower())
+        with new_file(b, force=overwrite) as path:
+            path.write_text(text, encoding="utf-8", newline="\n")
+        with verdict(0):
+            if as_json:
+                print_json({"file": str(b), "left_out": list(left_out)})
+                return
+            for what in left_out:
+                echo(f"{b}: left out: {what}")
+            echo(f"{b}: written")
+
+
+@eds.command("diff", epilog=EXIT_STATUS)
+@click.argument("a", metavar="A", type=InputPath())
+@click.argument("b", metavar="B", type=InputPath())
+@json_option
+def diff_command(a: Path, b: Path, as_json: bool) -> None:
+    """Compare two EDS, DCF, XDD or XDC files, object by object.
+
+    A line is PLACE SUBJECT: value in A -> value in B. Notations do not count: 0x10 is 16. Ends with
+    0 when the files describe the same, with 1 when not.
+
+    \b
+    Examples:
+      coulombus eds diff old.eds new.eds
+      coulombus eds diff drive.eds drive.xdd --json | jq length
+    """
+    with errors():
+        from coulombus.eds.eds_changes import changes
+        from coulombus.eds.reader import read_eds
+
+        differences = list(changes(read_eds(a), read_eds(b)))
+        with verdict(1 if differences else 0):
+            if as_json:
+                print_json([change._asdict() for change in differences])
+                return
+            for change in differences:
+                echo(str(change))
+            echo(f"{_number(len(differences), 'difference')}" if differences else "the same")
+
+
+def _range(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the first and last index of each stretch, given as 2000-20FF or 2000."""
+    ranges = []
+    for text in texts:
+        match = re.fullmatch(r"(?:0x)?([0-9A-Fa-f]{4})h?(?:-(?:0x)?([0-9A-Fa-f]{4})h?)?", text.strip())
+        first, last = (int(match[1], 16), int(match[2] or match[1], 16)) if match else (1, 0)
+        if not 0x1000 <= first <= last:
+            raise click.BadParameter(f"{text!r}: expected indices from 1000 to FFFF, as 2000-20FF")
+        ranges.append((first, last))
+    return tuple(ranges)
+
+
+@eds.command("from-device", epilog=EXIT_STATUS)
+@node_argument
+@devices_bus_option
+@click.option("-o", "--out", type=OutputFile(".eds"), metavar="F.eds", help="Write the file there.  [default: stdout]")
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    callback=_range,
+    metavar="A-B",
+    help="Only these indices, as 2000-20FF. May be given several times.  [default: 1000-9FFF]",
+)
+@click.option(
+    "--try-access", is_flag=True, help="Write each object's own value back, to see whether it can be written."
+)
+@timeout_option
+@beside_option
+@force_option
+def from_device_command(
+    node_id: int,
+    bus_name: str,
+    out: Path | None,
+    ranges: tuple[tuple[int, int], ...],
+    try_access: bool,
+    timeout_s: float,
+    beside: bool,
+    overwrite: bool,
+) -> None:
+    """Make an EDS file of a device that has none, by its own answers to SDO.
+
+    Every index is read, which takes some minutes. Types are those of the sizes; names, signs and
+    access come from CiA 301 and the device's profile, as far as they are known. Any other object is
+    read-only, unless --try-access writes its value back: not where a host is at work, and not where
+    a write of the value could act. PDO maps are those that the device has now.
+
+    \b
+    Examples:
+      coulombus eds from-device 5 --bus socketcan:can0 -o drive.eds
+      coulombus eds from-device 5 --bus coulombus:bench --range 1000-1FFF --range 2000-20FF
+    """
+    with errors():
+        from coulombus.eds.convert import eds_text_of
+        from coulombus.host.devices.dictionary_scan import EVERYWHERE, DictionaryScan
+        from coulombus.host.sdo.sdo_client import LATE_S, SdoClient
+        from coulombus.recording.output_file import new_file
+
+        with open_link(bus_name, beside=beside or not try_access) as link, LiveLine() as show:
+            client = SdoClient(link, node_id, timeout_s, late_s=LATE_S)
+            scan = DictionaryScan(client, ranges or EVERYWHERE, lambda index: show(f"{index:04X}h"), try_access)
+            content = scan.content()
+        text = eds_text_of(content)
+        if out is not None:
+            with new_file(out, force=overwrite) as path:
+                path.write_text(text, encoding="utf-8", newline="\n")
+        with verdict(0):
+            for remark in scan.remarks:
+                say(f"coulombus: {remark}")
+            if out is None:
+                echo(text, nl=False)
+            else:
+                echo(f"{out}: {_number(sum(row.subindex < 0 for row in content.rows), 'object')} of node {node_id}")
 
 
 def _check(file: str, node_id: int) -> dict[str, Any]:

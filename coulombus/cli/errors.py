@@ -46,6 +46,7 @@ LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
 OTHER_VERBS = {
     ("emulate", "--eds"): "`coulombus node FILE` simulates the device of an EDS file.",
     ("simulate", "--eds"): "`coulombus node FILE` simulates the device of an EDS file.",
+    ("check", "--eds"): "`coulombus eds check FILE` checks an EDS file, `coulombus explain LOG --eds 5=FILE` a log.",
     ("decode", "--dbc"): "--eds takes the devices' EDS files; `coulombus dbc` writes a DBC file for other tools.",
 }
 """What to do instead of an option that a verb does not have."""

@@ -9,9 +9,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import file_channel_option, force_option, json_option, load, log_eds_option, printed, say
-from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
+from coulombus.cli.common import (
+    adapter_option,
+    file_channel_option,
+    force_option,
+    json_option,
+    load,
+    log_eds_option,
+    printed,
+    say,
+    with_adapter_options,
+)
+from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.rig_options import eds_files_of
 from coulombus.cli.tables import PROSE, echo, on_terminal
 
 if TYPE_CHECKING:
@@ -47,11 +58,7 @@ class Knowledge:
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; report unreadable files of a folder."""
-        from coulombus.recording.maps.eds_files import eds_files
-
-        files = eds_files(self.eds)
-        remark(files.refused)
-        return (None if self.rig_name is None else load(self.rig_name, ())), files
+        return (None if self.rig_name is None else load(self.rig_name, ())), eds_files_of(self.eds)
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,14 @@ output_options = bundle(
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
 @click.argument("number", required=False, type=click.IntRange(1), metavar="[N]")
-@click.option("--bus", "bus_name", metavar="B", help="A live bus instead of FILE: coulombus:NAME or socketcan:IF.")
+@click.option(
+    "--bus",
+    "bus_name",
+    metavar="B",
+    callback=with_adapter_options,
+    help="A live bus instead of FILE: coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.",
+)
+@adapter_option
 @click.option("--seconds", type=SECONDS, default=None, help="How long to listen to a bus.  [default: until Ctrl-C]")
 @knowledge_options
 @output_options
@@ -143,13 +157,13 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
     """Listen to a bus, and print each incident to stderr."""
     from coulombus.explain.explanation_text import news
     from coulombus.explain.live_bus import explain_bus
-    from coulombus.wire.address import parse_address
+    from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
     def tell(explanation: Explanation, incident: Incident) -> None:
         if not as_json:
             say(news(explanation, incident))
 
-    return explain_bus(parse_address(bus_name), tell, rig=rig, eds=files, seconds=seconds)
+    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), tell, rig=rig, eds=files, seconds=seconds)
 
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 
 import click
 
-from coulombus.cli.common import file_channel_option, force_option, recording_argument, say, signals_option, verdict
+from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import OutputFile
+from coulombus.cli.rig_options import LogOptions, log_options
 from coulombus.cli.tables import progress
 
 __all__ = ["export_command"]
@@ -56,8 +57,7 @@ def _kind_of(out: Path | None, suffixes: Mapping[str, str]) -> str:
     help="A row each 1ms (us, ms, s), values held.  [default: a row for each frame of a PDO, as it came]",
 )
 @click.option("-o", "--out", type=OutputFile(), metavar="F", help="Output file.  [default: FILE, with another ending]")
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@file_channel_option
+@log_options
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON to stdout.")
 def export_command(
@@ -66,8 +66,7 @@ def export_command(
     signals: tuple[str, ...] | None,
     grid_ns: int | None,
     out: Path | None,
-    rig_name: str | None,
-    channels: tuple[str, ...],
+    log: LogOptions,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -82,6 +81,7 @@ def export_command(
       coulombus export run.pcapng --to csv
       coulombus export run.pcapng --to mf4 --grid 1ms -o run.mf4
       coulombus export run.pcapng --to parquet --signals motor.position_rad,brake.setpoint_Nm
+      coulombus export candump.log --eds 5=drive.eds --to mf4
       coulombus export run.pcapng --to candump -o run.log && canplayer -I run.log vcan0=can0
     """
     with errors():
@@ -93,6 +93,7 @@ def export_command(
             kind = _kind_of(out, SUFFIXES)
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
+        files = log.files()
         place = out or named_after(file, SUFFIXES[kind])
         reason = reason_against(
             place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
@@ -106,8 +107,9 @@ def export_command(
                 kind,
                 signals=signals,
                 grid_ns=grid_ns,
-                rig=rig_name,
-                channel=channels,
+                rig=log.rig_name,
+                channel=log.channels,
+                eds=files,
                 force=overwrite,
                 progress=lambda t_s: report(kind, t_s, None),
             )

@@ -48,7 +48,7 @@ def _of_the_runbook(topic: tuple[str, ...]) -> str | None:
         return None
     if (text := explained(topic[0])) is not None:
         return text
-    near = nearest(topic[0], TRIP_NAMES)
+    near = nearest(topic[0], (*TRIP_NAMES, "exit", "all"))
     if near and ("_" in topic[0] or not nearest(topic[0], main.commands)):
         raise click.UsageError(f"No command, trip or EMCY code '{topic[0]}'{near}")
     return None

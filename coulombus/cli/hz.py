@@ -4,32 +4,26 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
-from click.core import ParameterSource
 
 from coulombus.cli.common import json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
 from coulombus.cli.tables import echo
-
-if TYPE_CHECKING:
-    from coulombus.monitor.timing import Stamps
-    from coulombus.rigs.rig import Rig
 
 __all__ = ["hz"]
 
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
-@one_bus_options
+@watched_bus_options
 @click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
 @json_option
 def hz(
     file: Path | None,
-    chosen: OneBusOptions,
+    chosen: WatchedBusOptions,
     seconds: float,
     as_json: bool,
 ) -> None:
@@ -42,6 +36,7 @@ def hz(
     Examples:
       coulombus hz --bus socketcan:can0 --seconds 10
       coulombus hz run.pcapng
+      coulombus hz --bus socketcan:can0 --eds 5=drive.eds
       coulombus hz candump.log --json
     """
     with errors():
@@ -50,27 +45,30 @@ def hz(
         if file is not None:
             if chosen.bus_name is not None:
                 raise click.UsageError("a file and --bus: give one of them")
+            from coulombus.recording.maps.known_bus import KnownBus
             from coulombus.recording.reading import blocks, has_rig
 
-            given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+            given = bool(chosen.overrides) or (chosen.names_rig and not chosen.eds)
             where, source, lost = str(file), "the recording's", None
-            by_bus: dict[str, tuple[Rig | None, Stamps]]
-            if given or chosen.overrides or has_rig(file):
-                recording = blocks(file, chosen.load() if given or chosen.overrides else None, chosen.channel)
+            if given or (not chosen.eds and has_rig(file)):
+                recording = blocks(file, chosen.load() if given else None, chosen.channel)
                 rig = recording.rig
-                by_bus = {channel: (rig.on(channel), stamps) for channel, stamps in recorded(recording).items()}
+                by_bus = {
+                    channel: (KnownBus.of_rig(rig.on(channel)), stamps)
+                    for channel, stamps in recorded(recording).items()
+                }
                 remark(recording.remarks)
             else:
                 remarks: list[str] = []
-                by_bus = {"": (None, recorded_bare(file, chosen.channel, remarks))}
+                by_bus = {"": recorded_bare(file, chosen.channel, chosen.files(), remarks)}
                 remark(remarks)
         else:
-            rig, address = chosen.found()
+            known, address = chosen.known(chosen.bus_name)
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
-            by_bus = {"": (rig, stamps)}
-            where, source = str(address), address.stamps
+            by_bus = {"": (known, stamps)}
+            where, source = str(address), stamps.source
         rows = {bus: timing(*of_bus) for bus, of_bus in by_bus.items()}
         if as_json:
             identifiers = [

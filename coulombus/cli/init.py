@@ -222,9 +222,9 @@ def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int],
     """
     from coulombus.host.devices.scan import survey
     from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
-    from coulombus.wire.address import parse_address
+    from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-    nodes = survey(parse_address(bus_name), drive_axis)
+    nodes = survey(parse_address(bus_name, WITH_ADAPTERS), drive_axis)
     for answers in nodes:
         if answers.twice:
             what_to_do = "take one off the bus, and give the other another id (coulombus lss)"

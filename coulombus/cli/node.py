@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE
+from coulombus.cli.common import BUS_VARIABLE, adapter_option, with_adapter_options
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import SECONDS
 
@@ -135,8 +135,14 @@ served_options = bundle(
 @click.command("node", epilog=EXIT_STATUS)
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path))
 @click.option(
-    "--bus", metavar="B", required=True, envvar=BUS_VARIABLE, help="coulombus:NAME (built in) or socketcan:IF."
+    "--bus",
+    metavar="B",
+    required=True,
+    envvar=BUS_VARIABLE,
+    callback=with_adapter_options,
+    help="coulombus:NAME (built in), socketcan:IF or can:INTERFACE:CHANNEL.",
 )
+@adapter_option
 @served_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
@@ -167,6 +173,6 @@ def node_command(
     """
     with errors():
         from coulombus.sim_bus.server.live_nodes import run_nodes
-        from coulombus.wire.address import parse_address
+        from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-        run_nodes(served.of(eds, as_json), parse_address(bus), seconds)
+        run_nodes(served.of(eds, as_json), parse_address(bus, WITH_ADAPTERS), seconds)

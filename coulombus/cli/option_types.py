@@ -16,6 +16,7 @@ __all__ = [
     "CPU",
     "PICTURE",
     "SECONDS",
+    "SECONDS_OR_NONE",
     "InputPath",
     "OutputDirectory",
     "OutputFile",
@@ -137,17 +138,21 @@ PICTURE = OutputFile(".png", ".svg", ".pdf")
 
 
 class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A duration in s: a number above 0, at most a year."""
+    """A duration in s: a number above 0, at most a year; with `zero` also 0."""
 
     name = "seconds"
+
+    def __init__(self, zero: bool = False) -> None:
+        self._zero = zero
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         try:
             seconds = float(value)
         except ValueError:
             seconds = float("nan")
-        if not 0 < seconds <= YEAR_S:
-            self.fail(f"{value!r}: expected a number above 0, at most {YEAR_S} (a year), in s", param, ctx)
+        if not 0 < seconds <= YEAR_S and not (self._zero and seconds == 0):
+            least = "of 0 or more" if self._zero else "above 0"
+            self.fail(f"{value!r}: expected a number {least}, at most {YEAR_S} (a year), in s", param, ctx)
         return seconds
 
 
@@ -179,6 +184,6 @@ class _BitRate(click.ParamType):  # type: ignore[type-arg]
 
 
 YEAR_S = 31_557_600
-SECONDS = _Seconds()
+SECONDS, SECONDS_OR_NONE = _Seconds(), _Seconds(zero=True)
 CPU = _Cpu()
 BIT_RATE = _BitRate()

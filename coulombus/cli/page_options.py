@@ -21,10 +21,20 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from coulombus.cli.rig_options import BusesOptions
+    from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page", "serve_recording_page", "tornado_needed"]
+__all__ = [
+    "LOOPBACK",
+    "PORT",
+    "PageOptions",
+    "page_options",
+    "serve_last_page",
+    "serve_page",
+    "serve_recording_page",
+    "tornado_needed",
+]
 
 LOOPBACK = "127.0.0.1"
 PORT = 8642
@@ -80,7 +90,7 @@ def _stay(child: subprocess.Popen[bytes], seconds: float) -> None:
     """Wait while the page is served, until its process ends or Ctrl-C."""
     if seconds <= 0.0 or child.poll() is not None:
         return
-    say(f"coulombus: the page stays for {seconds:g} s; Ctrl-C ends it")
+    say(f"coulombus: the page stays for {seconds:g} s; Ctrl-C ends it; a trip's again: coulombus watch --web --last")
     with suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
         child.wait(seconds)
 
@@ -136,10 +146,10 @@ def serve_page(
     beside : another verb started this process, and holds the other end of stdin
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
-    from coulombus.host.run.last_word import last_word
+    from coulombus.host.run.last_word import keep_page, last_word
     from coulombus.host.run.law_curve import law_curve
     from coulombus.host.run.law_ring import law_ring
-    from coulombus.host.run.runbook import advice, entry
+    from coulombus.host.run.runbook import entry
     from coulombus.wire.address import socket_path
 
     with tornado_needed():
@@ -151,13 +161,13 @@ def serve_page(
     door = HostDoor(
         status=lambda: ask_status(address, 1.0),
         stop=lambda: stop_host(address),
-        advice=advice,
         change=lambda order: ask_change(address, order, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,
         ring=law_ring,
         last=lambda: last_word(address),
         entry=entry,
+        keep=lambda content: keep_page(address, content),
         start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),
     )
     serve(
@@ -173,6 +183,7 @@ def serve_page(
 def serve_recording_page(
     file: Path,
     page: PageOptions,
+    eds: EdsFiles,
     *,
     rig_name: str | None,
     channel: str | None,
@@ -183,6 +194,7 @@ def serve_recording_page(
 
     Parameters
     ----------
+    eds : EDS files for decoding; with them the attached rig is not used
     rig_name : rig for decoding; None: the attached one
     """
     from coulombus.cli.errors import remark
@@ -193,11 +205,54 @@ def serve_recording_page(
         from coulombus.monitor.web.access import new_token
         from coulombus.monitor.web.recording_page import serve_recording
 
-    recording = read(file, rig_name, channel)
+    recording = read(file, rig_name, channel, eds=eds)
     remark(recording.remarks)
-    explanation = explain(file, rig=recording.rig, channel=channel)
+    explanation = explain(file, rig=recording.known_rig, eds=eds, channel=channel)
     serve_recording(
         *(recording, explanation, new_token(), lambda url: _ready(url, as_json)),
+        host=page.web_host,
+        port=page.web_port,
+        seconds=seconds,
+    )
+
+
+def serve_last_page(address: BusAddress | None, page: PageOptions, *, seconds: float | None, as_json: bool) -> None:
+    """Serve the page that was open at the last trip until a signal.
+
+    Parameters
+    ----------
+    address : the bus; None: that of the host that ended last
+
+    Raises
+    ------
+    coulombus.host.run.control_socket.NoHost
+        no host has tripped there, or no page was open; the text says what is left of it
+    """
+    from coulombus.host.run.control_socket import NoHost, host_runs, hosts_here
+    from coulombus.host.run.last_word import ending, last_page, last_word, newest_word
+
+    with tornado_needed():
+        from coulombus.monitor.web.access import new_token
+        from coulombus.monitor.web.last_page import LastPage
+        from coulombus.monitor.web.server import serve_last
+
+    if address is None:
+        address = (newest_word() or (None, None))[0]
+    word = None if address is None else last_word(address)
+    if address is None or word is None:
+        place = f"on bus {address}" if address else "of this user on this machine"
+        running = [bus for bus in ([address] if address else hosts_here()) if host_runs(bus)]
+        live = f"; one runs: coulombus watch --web --bus {running[0]}" if running else ""
+        raise NoHost(f"no host {place} has left a word of its end{live}")
+    content = last_page(address)
+    if content is None:
+        if not word["trip"]:
+            raise NoHost(f"no page was kept: the last host on bus {address} did not trip; it ended {ending(word)}")
+        file = word.get("recording")
+        where = f"its recording: coulombus watch {shlex.quote(file)} --web" if file else "it made no recording"
+        raise NoHost(f"no page was open at the end of the last host on bus {address}, {ending(word)}; {where}")
+    serve_last(
+        *(LastPage.of(content, new_token()), lambda url: _ready(url, as_json)),
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,

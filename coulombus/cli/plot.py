@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import file_channel_option, force_option, recording_argument, say, signals_option, verdict
+from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
 from coulombus.cli.option_types import PICTURE
+from coulombus.cli.rig_options import LogOptions, log_options
 
 if TYPE_CHECKING:
     from coulombus.recording.pictures.plot import Plot
@@ -78,8 +79,7 @@ def _not_visible(data: Plot) -> list[str]:
 @signals_option
 @click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]")
 @click.option("-o", "--out", type=PICTURE, metavar="F.png", help="A .png, .svg or .pdf.  [default: FILE, as .png]")
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@file_channel_option
+@log_options
 @force_option
 @look_options
 def plot_command(
@@ -87,8 +87,7 @@ def plot_command(
     signals: tuple[str, ...] | None,
     span: tuple[float | None, float | None],
     out: Path | None,
-    rig_name: str | None,
-    channels: tuple[str, ...],
+    log: LogOptions,
     overwrite: bool,
     look: LookOptions,
 ) -> None:
@@ -101,6 +100,7 @@ def plot_command(
     Examples:
       coulombus plot run.pcapng
       coulombus plot run.pcapng --signals motor.position_rad,brake.handle_torque_Nm --span 3:5 -o hold.svg
+      coulombus plot candump.log --eds 5=drive.eds --signals 5.TPDO1.6064h:00
       coulombus plot run.pcapng --title "Subject 3, hybrid" --size 16x9 --dpi 300
     """
     with errors():
@@ -114,7 +114,7 @@ def plot_command(
         )
         if reason is not None:
             raise click.UsageError(reason)
-        source = blocks(file, rig_name, channels)
+        source = blocks(file, log.rig_name, log.channels, eds=log.files())
         data = traces_of(source, signals, span)
         made = figure_of(data, Look(look.title, look.size_cm, look.dpi))
         with new_file(place, force=overwrite) as path:

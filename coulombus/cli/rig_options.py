@@ -1,28 +1,77 @@
-"""The rig of a verb, and its buses, as bundled options."""
+"""What a verb knows of a bus, as bundled options: a rig and its buses, or EDS files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import click
+from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, buses_option, channel_option, load_with_law, rig_option, set_option
+from coulombus.cli.common import (
+    adapter_option,
+    any_bus_option,
+    bus_option,
+    buses_option,
+    channel_option,
+    file_channel_option,
+    load_with_law,
+    log_eds_option,
+    rig_option,
+    set_option,
+)
+from coulombus.cli.errors import remark
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from coulombus.recording.maps.eds_files import EdsFiles
+    from coulombus.recording.maps.known_bus import KnownBus
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
 __all__ = [
     "BusesOptions",
+    "KnownBusOptions",
+    "LogOptions",
     "OneBusOptions",
     "RigOptions",
+    "WatchedBusOptions",
     "buses_options",
+    "eds_files_of",
+    "known_bus_options",
+    "log_options",
     "one_bus_options",
     "one_channel_option",
     "rig_options",
+    "watched_bus_options",
 ]
+
+
+def eds_files_of(texts: tuple[str, ...], *, with_rig: bool = False) -> EdsFiles:
+    """Return the files of --eds; print those of a folder that cannot be read.
+
+    Parameters
+    ----------
+    with_rig : --rig is given, too
+
+    Raises
+    ------
+    click.UsageError
+        Both are given.
+    """
+    from coulombus.recording.maps.eds_files import eds_files
+
+    if texts and with_rig:
+        raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
+    files = eds_files(texts)
+    remark(files.refused)
+    return files
+
+
+def _source_of(name: str) -> ParameterSource | None:
+    return click.get_current_context().get_parameter_source(name)
 
 
 @dataclass(frozen=True)
@@ -57,6 +106,93 @@ class OneBusOptions(RigOptions):
 
 
 @dataclass(frozen=True)
+class KnownBusOptions(RigOptions):
+    """A rig, and its bus of a channel, or EDS files."""
+
+    channel: str | None
+    eds: tuple[str, ...]
+    finds_nodes: ClassVar[bool] = False
+    """Whether the bus shows which node a file of a folder is for."""
+
+    @property
+    def names_rig(self) -> bool:
+        """Whether the rig is given, and not the default."""
+        return _source_of("rig_name") is not ParameterSource.DEFAULT
+
+    def files(self) -> EdsFiles:
+        """Return the EDS files; see `eds_files_of`."""
+        files = eds_files_of(self.eds, with_rig=_source_of("rig_name") is ParameterSource.COMMANDLINE)
+        if self.eds and self.overrides:
+            raise click.UsageError("--set changes a rig: leave it or --eds out")
+        return files
+
+    def known(self, bus_name: str | None = None) -> tuple[KnownBus, BusAddress]:
+        """Return what EDS files, else the rig, tell of a bus, and its address; print what is left out."""
+        from coulombus.recording.maps.known_bus import KnownBus
+        from coulombus.rigs.buses import one_bus
+        from coulombus.wire.address import WITH_ADAPTERS, default_address, parse_address
+
+        files = self.files()
+        if not self.eds:
+            rig, address = one_bus(self.load(), bus_name, self.channel, WITH_ADAPTERS)
+            return KnownBus.of_rig(rig), address
+        known = KnownBus.of_eds(files)
+        remark(known.remarks)
+        if not (known.nodes or self.finds_nodes):
+            reason = "an EDS file has no node id, and nothing here shows it"
+            raise click.UsageError(f"--eds: {reason}; name the node of each file, as in --eds 5=drive.eds")
+        address = default_address(self.rig_name) if bus_name is None else parse_address(bus_name, WITH_ADAPTERS)
+        return known, address
+
+    def of_file(self, file: Path) -> KnownBus:
+        """Return what is known of a recording's bus: by rig or EDS files, given or attached, and by its SDO."""
+        from coulombus.recording.maps.known_bus import KnownBus
+        from coulombus.recording.reading import blocks
+
+        is_given = bool(self.overrides) or (self.names_rig and not self.eds)
+        source = blocks(file, self.load() if is_given else None, self.channel, eds=self.files())
+        return KnownBus("", (), source.pdos) if source.known_rig is None else KnownBus.of_rig(source.known_rig)
+
+    def of_node(self, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
+        """Ask a node for its PDOs; return them, and the bus' address."""
+        from coulombus.cli.device_options import open_link
+        from coulombus.host.devices.dictionary_scan import pdo_objects
+        from coulombus.host.sdo.sdo_client import SdoClient
+        from coulombus.recording.maps.known_bus import KnownBus
+        from coulombus.wire.address import WITH_ADAPTERS, parse_address
+
+        if bus_name is None:
+            raise click.UsageError("--node is a device on a bus: name it with --bus")
+        if _source_of("rig_name") is ParameterSource.COMMANDLINE or self.overrides:
+            raise click.UsageError("--node asks the device: leave --rig and --set out")
+        files = self.files()
+        with open_link(bus_name, beside=True) as link:
+            objects = pdo_objects(SdoClient(link, node_id))
+        return KnownBus.of_device(node_id, objects, files), parse_address(bus_name, WITH_ADAPTERS)
+
+
+@dataclass(frozen=True)
+class WatchedBusOptions(KnownBusOptions):
+    """A rig and one of its buses, or the EDS files of a bus without a rig."""
+
+    bus_name: str | None
+    finds_nodes: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What is known of a recording's bus: a rig, else EDS files, else the recording itself."""
+
+    rig_name: str | None
+    eds: tuple[str, ...]
+    channels: tuple[str, ...]
+
+    def files(self) -> EdsFiles:
+        """Return the EDS files; see `eds_files_of`."""
+        return eds_files_of(self.eds, with_rig=self.rig_name is not None)
+
+
+@dataclass(frozen=True)
 class BusesOptions(RigOptions):
     """A rig and its buses: all of them, or that of one channel."""
 
@@ -74,4 +210,17 @@ one_channel_option = click.option("--channel", metavar="C", help="Bus of a rig, 
 
 rig_options = bundle("chosen", RigOptions, rig_option, set_option)
 one_bus_options = bundle("chosen", OneBusOptions, rig_option, set_option, bus_option, one_channel_option)
+watched_bus_options = bundle(
+    "chosen",
+    WatchedBusOptions,
+    *(rig_option, set_option, any_bus_option, adapter_option, one_channel_option, log_eds_option),
+)
+known_bus_options = bundle("chosen", KnownBusOptions, rig_option, set_option, one_channel_option, log_eds_option)
+log_options = bundle(
+    "log",
+    LogOptions,
+    click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one."),
+    log_eds_option,
+    file_channel_option,
+)
 buses_options = bundle("chosen", BusesOptions, rig_option, set_option, buses_option, channel_option)

@@ -20,7 +20,7 @@ from coulombus.cli.common import (
     verdict,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import CPU, SECONDS
+from coulombus.cli.option_types import CPU, SECONDS, SECONDS_OR_NONE
 from coulombus.cli.outputs import OutputOptions, outputs_options
 from coulombus.cli.page_options import PageOptions, page_options
 from coulombus.cli.rig_options import BusesOptions, buses_options
@@ -52,7 +52,7 @@ PAGE_AFTER_TRIP_S = 60.0
 @page_options
 @click.option(
     "--web-after",
-    type=SECONDS,
+    type=SECONDS_OR_NONE,
     default=None,
     metavar="S",
     help=f"Keep the page after the host's end.  [default: {PAGE_AFTER_TRIP_S:g} after a trip, else 0]",

@@ -130,6 +130,7 @@ def scan(
 def _nobody(bus_name: str, listen_s: float) -> str:
     hint = "" if listen_s else "; nodes that only send heartbeats are found by --listen 10"
     rate = "; another bit rate: --bitrates" if bus_name.startswith("socketcan:") else ""
+    rate = "; another bit rate: --bus-option bitrate=250000" if bus_name.startswith("can:") else rate
     return f"no node on {bus_name} answers: power, cable, termination, bit rate?{hint}{rate}"
 
 
@@ -184,12 +185,13 @@ def _print(rows: list[dict[str, Any]], without: list[Identity], files: list[Desc
 
 def _choose_bit_rate(bus_name: str) -> None:
     from coulombus.host.devices.bitrates import choose
-    from coulombus.wire.address import parse_address
+    from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-    address = parse_address(bus_name)
+    address = parse_address(bus_name, WITH_ADAPTERS)
     if not address.is_interface:
         raise click.UsageError(
-            "--bitrates is for socketcan: a virtual bus has one bit rate, and its clients have it, too"
+            "--bitrates is for socketcan: a virtual bus has one bit rate, and its clients have it, too; an adapter of "
+            "python-can is opened with its own: --bus-option bitrate=250000"
         )
     with LiveLine() as show:
         rate = choose(address.name, lambda rate: show(f"listening at {rate} bit/s"))

@@ -41,14 +41,14 @@ def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
     with errors():
         from coulombus.host.run.control_socket import NoHost, StopRequest
 
-        addresses = host_addresses(rig_name, bus_names, every=every)
+        addresses = host_addresses(rig_name, bus_names, every=every, ended=True)
         requests = [StopRequest(address) for address in addresses]  # request all before waiting for the first
         failures, sentences = [], []
         for request in requests:
             try:
                 sentences.append(_what_came(request.address, request.result()))
             except NoHost as failure:
-                failures.append(str(failure))
+                failures.append(f"{failure}{_last_end(request.address)}")
         for text in sentences if failures else ():
             say(text)
         if failures:
@@ -56,6 +56,15 @@ def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
         with verdict(0):
             for text in sentences:
                 echo(text)
+
+
+def _last_end(address: BusAddress) -> str:
+    """Return the end of the last host on a bus, as a clause; empty if one runs, or none has left its word."""
+    from coulombus.host.run.control_socket import host_runs
+    from coulombus.host.run.last_word import ending, last_word
+
+    word = None if host_runs(address) else last_word(address)
+    return f"; the last one ended {ending(word)}" if word else ""
 
 
 def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:

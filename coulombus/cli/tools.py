@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from coulombus.cli.common import force_option, json_option, printed, rig_option, set_option
+from coulombus.cli.common import force_option, json_option, printed
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputDirectory
+from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
 from coulombus.cli.tables import echo
 
 __all__ = ["tools"]
@@ -16,15 +17,12 @@ __all__ = ["tools"]
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("folder", metavar="DIR", type=OutputDirectory())
-@rig_option
-@set_option
-@click.option("--channel", metavar="C", help="Bus of a rig with several.")
+@known_bus_options
 @force_option
 @json_option
-def tools(
-    folder: Path, rig_name: str, overrides: tuple[str, ...], channel: str | None, overwrite: bool, as_json: bool
-) -> None:
-    """Write files that describe the rig to other tools into the folder DIR.
+def tools(folder: Path, chosen: KnownBusOptions, overwrite: bool, as_json: bool) -> None:
+    """Write files that describe the rig, or devices by their EDS files, to other tools into the
+    folder DIR.
 
     DBC, KCD and SYM files; a Wireshark dissector and profile; layouts of PlotJuggler and Foxglove;
     README.md says how each is used.
@@ -33,16 +31,16 @@ def tools(
     Examples:
       coulombus tools out/tools
       coulombus tools out/tools --rig my-rig.toml --overwrite
+      coulombus tools out/tools --eds 5=drive.eds
       tshark -X lua_script:out/tools/bench.lua -r run.pcapng -Y 'coulombus.motor.position > 1'
     """
     with errors():
+        from coulombus.monitor.dbc import file_encoding
         from coulombus.monitor.tools.tool_files import tool_files
         from coulombus.recording.output_file import new_file, reason_against
-        from coulombus.rigs.buses import one_bus
-        from coulombus.rigs.rig import load_rig
 
-        rig, _ = one_bus(load_rig(rig_name, overrides), None, channel)
-        files = {folder / name: text for name, text in tool_files(rig).items()}
+        bus, _ = chosen.known()
+        files = {folder / name: text for name, text in tool_files(bus).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)
             reason = reason_against(
@@ -51,11 +49,10 @@ def tools(
             if reason is not None:
                 raise click.UsageError(reason)
         for path, text in files.items():
-            dbc = path.suffix == ".dbc"
             with new_file(path, force=overwrite) as place:
-                place.write_text(text, encoding="cp1252" if dbc else "utf-8", errors="replace" if dbc else "strict")
+                place.write_text(text, **file_encoding(path.suffix))
         if as_json:
-            print_json({"rig": rig.name, "files": [str(path) for path in files]})
+            print_json({"rig": bus.name, "files": [str(path) for path in files]})
             return
         with printed():
             for path in files:

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, listed, log_eds_option, say
-from coulombus.cli.errors import EXIT_STATUS, errors, remark
+from coulombus.cli.common import force_option, listed, say
+from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options, serve_page, serve_recording_page
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.page_options import PageOptions, page_options, serve_last_page, serve_page, serve_recording_page
+from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
 from coulombus.cli.tables import echo
 
 if TYPE_CHECKING:
@@ -64,9 +63,9 @@ class View:
     scope: tuple[str, ...]
     foxglove: int | None
     plotjuggler: int | None
-    eds: tuple[str, ...]
+    last: bool
 
-    def check(self, page: PageOptions, as_json: bool) -> None:
+    def check(self, page: PageOptions, as_json: bool, eds: bool = False) -> None:
         """Refuse incompatible options.
 
         Raises
@@ -80,6 +79,8 @@ class View:
             "--foxglove": self.foxglove,
             "--plotjuggler": self.plotjuggler,
         }
+        if self.last and not page.web:
+            raise click.UsageError("--last is of the page: add --web; for text: coulombus status")
         given = [option for option, value in ways.items() if value is not None and value is not False]
         if len(given) > 1:
             raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
@@ -89,7 +90,7 @@ class View:
             raise click.UsageError(f"--interval is of the table in a terminal: leave it or {given[0]} out")
         if self.pcapng is not None and as_json:
             raise click.UsageError("--pcapng shows nothing: leave --json out")
-        if self.eds and (given or self.scope):
+        if eds and (given or self.scope):
             raise click.UsageError(f"--eds is of a bus without a rig: leave {(given or ['--scope'])[0]} out")
 
 
@@ -133,13 +134,13 @@ view_options = bundle(
         metavar="[PORT]",
         help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
     ),
-    log_eds_option,
+    click.option("--last", is_flag=True, help="With --web: the page as it was at the last trip."),
 )
 
 
 @click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
-@one_bus_options
+@watched_bus_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @view_options
 @page_options
@@ -147,7 +148,7 @@ view_options = bundle(
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
     file: Path | None,
-    chosen: OneBusOptions,
+    chosen: WatchedBusOptions,
     seconds: float | None,
     view: View,
     page: PageOptions,
@@ -163,7 +164,7 @@ def watch(
     changed stand out, w names the bits of status- and controlwords, 1 to 9 open an incident of
     `coulombus explain`, q ends it), else lines; with
     --web a page in a browser, whose STOP does what `coulombus stop` does. With a recording FILE and
-    --web, its page: plots, cursor, incidents. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT,
+    --web, its page: plots, cursor, incidents; with --last, the page at the last trip. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT,
     with 4 when the bus goes away.
 
     \b
@@ -175,25 +176,34 @@ def watch(
       coulombus watch --pcapng - | wireshark -k -i -
       coulombus watch --bus coulombus:bench --scope motor.position_rad
       coulombus watch --bus coulombus:bench --web
+      coulombus watch --web --last
       coulombus watch run.pcapng --web
       coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
         from coulombus.monitor.watch import LiveView
         from coulombus.monitor.watch import watch as run
-        from coulombus.recording.maps.eds_files import eds_files
 
-        view.check(page, as_json)
-        named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
-        if named and view.eds:
-            raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
-        if file is not None:
-            _open(file, chosen, page, rig_name=chosen.rig_name if named else None, seconds=seconds, as_json=as_json)
+        view.check(page, as_json, eds=bool(chosen.eds) and file is None)
+        if view.last and file is not None:
+            raise click.UsageError(f"{file} and --last: choose one of them")
+        if view.last:
+            from coulombus.wire.address import parse_address
+
+            serve_last_page(
+                *(None if chosen.bus_name is None else parse_address(chosen.bus_name), page),
+                seconds=seconds,
+                as_json=as_json,
+            )
             return
-        rig, address = chosen.found()
-        if view.foxglove is not None or view.plotjuggler is not None:
+        if file is not None:
+            _open(file, chosen, page, seconds=seconds, as_json=as_json)
+            return
+        known, address = chosen.known(chosen.bus_name)
+        rig = known.rig
+        if rig is not None and (view.foxglove is not None or view.plotjuggler is not None):
             _forward(rig, address, view, seconds=seconds, as_json=as_json)
-        elif page.web:
+        elif rig is not None and page.web:
             serve_page(
                 *(rig, address, page),
                 rig_name=chosen.rig_name,
@@ -201,7 +211,7 @@ def watch(
                 as_json=as_json,
                 beside=beside,
             )
-        elif view.pcapng is not None:
+        elif rig is not None and view.pcapng is not None:
             from coulombus.recording.stream import stream
 
             stream(
@@ -211,21 +221,18 @@ def watch(
                 force=view.overwrite,
             )
         else:
-            files = eds_files(view.eds)
-            remark(files.refused)
+            named = chosen.names_rig
             assumed = not (named or view.scope or chosen.overrides)
             run(
-                None if view.eds else rig,
+                rig,
                 address,
-                LiveView(as_json, view.interval, named, view.scope, assumed, files),
+                LiveView(as_json, view.interval, named, view.scope, assumed, known.eds),
                 seconds=seconds,
-                host=lambda: host_line(address),
+                host=None if address.is_adapter else lambda: host_line(address),
             )
 
 
-def _open(
-    file: Path, chosen: OneBusOptions, page: PageOptions, *, rig_name: str | None, seconds: float | None, as_json: bool
-) -> None:
+def _open(file: Path, chosen: WatchedBusOptions, page: PageOptions, *, seconds: float | None, as_json: bool) -> None:
     """Serve a recording's page until a signal.
 
     Raises
@@ -237,7 +244,13 @@ def _open(
         raise click.UsageError(f"watch {file} needs --web; for text: coulombus decode {file}, coulombus explain {file}")
     if chosen.bus_name is not None:
         raise click.UsageError("a FILE and --bus: choose one of them")
-    serve_recording_page(file, page, rig_name=rig_name, channel=chosen.channel, seconds=seconds, as_json=as_json)
+    serve_recording_page(
+        *(file, page, chosen.files()),
+        rig_name=chosen.rig_name if chosen.names_rig and not chosen.eds else None,
+        channel=chosen.channel,
+        seconds=seconds,
+        as_json=as_json,
+    )
 
 
 def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None, as_json: bool) -> None:

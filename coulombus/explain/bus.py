@@ -11,7 +11,7 @@ from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
 from coulombus.explain.clues import Clues
-from coulombus.explain.frames import NEVER, REMOTE, Block, Frames
+from coulombus.explain.frames import NEVER, REMOTE, SYNC, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of
@@ -20,6 +20,8 @@ __all__ = ["Bus", "Order", "Silence", "product"]
 
 ENDING_NS = 1_000_000_000
 """Time after its last cycle within which a host that ends commands its nodes out of OPERATIONAL."""
+WRITTEN_NS = 1_000_000_000
+"""Longest time from a write that ends a PDO to the first one that does not come."""
 TARGET = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -112,6 +114,12 @@ class Bus:
         """The SYNC [ns] with which its period was learned."""
         self.sync_written = False
         """Whether a write of 1006h, which the next start of a node may put into force, was seen."""
+        self.sync_ns = -1
+        """The last SYNC [ns] of the blocks before."""
+        self.sync_off_ns = -NEVER
+        """The last time [ns] at which its producer was told to end SYNC (1005h)."""
+        self.pdo_ends: dict[int, tuple[int, str]] = {}
+        """By identifier, the last write that ends a PDO: time [ns] and text."""
         self.relearn_sync = False
         """Whether the period of SYNC may change from here on."""
         self.two_sync: list[tuple[int, int]] = []
@@ -186,6 +194,12 @@ class Bus:
                 if place:
                     last = max(last, int(group.t_ns[place - 1]))
         return last
+
+    def last_sync_ns(self, block: Block | None, before_ns: int) -> int:
+        """Return the time of the last SYNC before this time; -1 if none is known."""
+        group = None if block is None else block.groups.get(SYNC)
+        place = 0 if group is None else int(group.t_ns.searchsorted(before_ns))
+        return int(group.t_ns[place - 1]) if group is not None and place else self.sync_ns
 
     def ordered(self, number: int, after_ns: int, before_ns: int, *targets: int) -> Order | None:
         """Return the last NMT command to a node between these times, with the given target if any."""
@@ -265,6 +279,12 @@ class Bus:
         place = bisect.bisect_left(self.powered, (stop_ns + 1,)) - 1
         disarmed = place >= 0 and self.powered[place][1] == 0
         return stop_ns + max(at_once_ns, ENDING_NS if disarmed else 0)
+
+    def pdo_end(self, key: int, begin_ns: int, until_ns: int, text: str) -> tuple[str, str]:
+        """Return the text of a PDO's stop and who made it, by the write that ends it; "" for the kind's culprit."""
+        t_ns, write = self.pdo_ends.get(key, (-NEVER, ""))
+        is_written = begin_ns - WRITTEN_NS <= t_ns <= until_ns
+        return (f"{text}: {write}", "client") if is_written else (text, "")
 
     def expect_sync(self, *, written: bool) -> None:
         """Note that SYNC may get another period: 1006h is written, or a node is started after that."""

@@ -124,16 +124,18 @@ class Clues:
         text: Callable[[int], str],
         *,
         subject: object = None,
-    ) -> None:
-        """Note observations at several times, in their order; `text`: of one of them by its place."""
+    ) -> Clue | None:
+        """Note observations at several times, in their order; `text`: of one of them by its place; return the last clue."""
+        clue = None
         if not len(t_ns):
-            return
+            return clue
         starts = [0, *(np.flatnonzero(np.diff(t_ns) > MERGED_NS) + 1).tolist(), len(t_ns)]
         for start, end in pairwise(starts):
             first = int(t_ns[start])
             clue = self.note(kind, node, first, text(start), row=int(rows[start]), subject=subject, count=end - start)
             clue.last_ns = clue.end_ns = int(t_ns[end - 1])
             clue.show(rows[start + 1 : end])
+        return clue
 
     def end(self, kind: str, node: int | None, t_ns: int, text: str = "", *, subject: object = None) -> bool:
         """Close a clue; return whether it was open."""

@@ -27,6 +27,7 @@ from coulombus.explain.node_summary import NodeSummary, summary_of
 from coulombus.explain.pdo_timers import PdoTimers
 from coulombus.explain.pdo_timing import PdoTiming
 from coulombus.explain.rare import RareFrames
+from coulombus.explain.stamp_batches import OF_TIMES, StampBatches
 from coulombus.explain.straight_times import StraightTimes
 from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.block_source import captures_of_bus
@@ -115,10 +116,11 @@ class Explainer:
             self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
         self._load = BusLoad(self.bus)
         self._disturbances, self._services = Disturbances(self.bus), Services(self.bus)
-        self._host, self._identifiers = HostMarkers(self.bus), Identifiers()
+        self._host, self._identifiers, self._batches = HostMarkers(self.bus), Identifiers(), StampBatches()
         self._others = (  # drives first: others ask whether a drive is enabled
             *(self._host, self._drives, Orders(self.bus), self._disturbances, self._services, self._load),
             *(self._sync, self._pdos, PdoTimers(self.bus), Lengths(self.bus), DriveValues(self.bus), self._identifiers),
+            self._batches,
         )
         self._span = span
         self._axis = StraightTimes()
@@ -165,6 +167,8 @@ class Explainer:
     def explanation(self, remarks: Sequence[str] = ()) -> Explanation:
         """Return the explanation so far; `remarks`: those of the log's reader."""
         clues = [*self.bus.clues.all, *self._rare.sdo.missing()]
+        if self._batches.period_ns:
+            clues = [clue for clue in clues if clue.kind not in OF_TIMES]
         if not self._is_canopen:
             clues = [clue for clue in clues if KINDS[clue.kind].group == "bus"]
         incidents = tuple(join(clues))
@@ -282,6 +286,11 @@ class Explainer:
         if bus.others:
             nodes = ", ".join(f"node {number}" for number in sorted(bus.others))
             remarks.append(f"{nodes}: another device than the rig's (1018h), so the rig says nothing of it")
+        if self._batches.period_ns:
+            remarks.append(
+                f"frames come in batches, {self._batches.period_ns / 1e6:.3g} ms apart, as adapters hand them over: "
+                "times between frames are unknown, and nothing is said of them"
+            )
         remarks += self._polls()
         assumed = sorted(
             {known.node for known in bus.maps.values() if known.source == "assumed" and known.can_id in bus.counts}

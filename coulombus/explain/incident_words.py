@@ -44,7 +44,17 @@ WHO: Mapping[str, str] = MappingProxyType(
         "client",
     )
     | dict.fromkeys(
-        ("bus_load", "starved", "two_sync", "duplicate_node", "pdo_length", "mode_refused", "no_pdo", "runs_on"),
+        (
+            "bus_load",
+            "starved",
+            "two_sync",
+            "duplicate_node",
+            "same_cob_id",
+            "pdo_length",
+            "mode_refused",
+            "no_pdo",
+            "runs_on",
+        ),
         "configuration",
     )
     | dict.fromkeys(("overrun", "node_missing", "following_error"), "unknown")
@@ -148,6 +158,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             92, "Two devices have one node id", "A replaced or added device still has the node id of another.",
             (ONE_ID, "Check the id switches of both devices.", "Give one of them another id: coulombus lss."),
             "Both answer, both obey: neither can be trusted.", "CiA 301, 7.2.4; CiA 305",
+        ),
+        "same_cob_id": Kind(
+            64, "Two nodes send PDOs with one COB-ID", "The configuration of one node was copied to the other.",
+            ("Give each PDO a COB-ID of its own (1800h:01): 180h + node id is usual.",
+             "Compare the COB-IDs of all nodes: coulombus pdo --node N --bus B.", "Look whether two EDS or DCF files have one node id."),
+            "Their frames collide, and a receiver takes one for the other.", "CiA 301, 7.5.2.37",
         ),
         "node_missing": Kind(
             74, "A node never answered", "It is off, not connected, or has another node id or bit rate.",

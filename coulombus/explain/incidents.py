@@ -45,6 +45,16 @@ APART = frozenset({"time_lost", "lss_refused"})
 ABSENCES = frozenset(
     {"node_lost", "host_lost", "sync_lost", "bus_silent", "tpdo_missing", "rpdo_missing", "pdo_stopped"}
 )
+CAUSES: tuple[tuple[frozenset[str], frozenset[str], bool, int], ...] = (
+    (frozenset({"ordered_away"}), AWAY, True, 0),  # a node that was gone before is not ordered away
+    (frozenset({"bus_off"}), frozenset({"babble"}), False, 0),  # what floods the bus drives controllers off
+    (ABSENCES, frozenset({"error_frames"}), False, 0),  # what destroys frames silences nodes
+    (frozenset({"pdo_stopped", "tpdo_missing", "heartbeat_lost"}), frozenset({"restarted"}), True, PROOF_NS),
+    (frozenset({"sync_gap", "tpdo_missing", "tpdo_late"}), frozenset({"overrun"}), False, TOLERANCE_NS),
+)
+"""Kinds that would name an incident, kinds that name it in their place, whether of the same node, and how long after
+the first sign [ns].
+"""
 SILENCE = frozenset({"node_lost", "heartbeat_lost", "host_lost"})
 SILENCE_NS = 300_000_000
 """Maximum lead of a silence, which begins at the last received frame, before its cause."""
@@ -93,14 +103,10 @@ class Incident:
         early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= known + PROOF_NS]
         early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
         root = max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
-        if root.kind == "ordered_away":  # a node that was gone before is not ordered away
-            root = next(
-                (c for c in early if c.kind in AWAY and c.node == root.node and c.begin_ns <= root.begin_ns), root
-            )
-        if root.kind == "bus_off":  # what floods the bus drives controllers off
-            root = next((clue for clue in early if clue.kind == "babble" and clue.begin_ns <= root.begin_ns), root)
-        if root.kind in ABSENCES:  # what destroys frames silences nodes
-            return next((clue for clue in early if clue.kind == "error_frames" and clue.begin_ns <= root.due_ns), root)
+        for kinds, causes, of_node, within_ns in CAUSES:
+            if root.kind in kinds:
+                some = [c for c in telling if c.kind in causes and c.begin_ns <= root.due_ns + within_ns]
+                root = next((c for c in some if c.node == root.node or not of_node), root)
         return root
 
     @property

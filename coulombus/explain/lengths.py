@@ -56,8 +56,11 @@ class Lengths:
         def text(i: int) -> str:
             return f"{name} ({key:03X}h) with {group.length[wrong[i]]} bytes, expected {expected}"
 
-        node = self.bus.sender(key)
-        self.clues.series("service_length", node, group.t_ns[wrong], group.rows[wrong], text, subject=key)
+        is_request = CobId.SDO_RX <= key < CobId.HEARTBEAT  # a client sends it
+        node = key & 0x7F if is_request else self.bus.sender(key)
+        clue = self.clues.series("service_length", node, group.t_ns[wrong], group.rows[wrong], text, subject=key)
+        if clue is not None and is_request:
+            clue.who = "client"
 
 
 def _service_of(key: int) -> tuple[str, int, int]:

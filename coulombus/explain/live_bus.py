@@ -10,8 +10,8 @@ from coulombus.explain.incidents import Incident
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import Client
 from coulombus.wire.frame_batches import Block
 from coulombus.wire.handshake import Flags, Hello
 
@@ -74,7 +74,7 @@ def explain_bus(
     explainer, followed = Explainer(rig, eds), Followed(tell)
     end = None if seconds is None else time.monotonic() + seconds
     looked = 0.0
-    with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
+    with open_bus(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
         while not stop.wait(0) and (end is None or time.monotonic() < end):
             client.wait(WAIT_S)
             while received := client.receive():

@@ -18,6 +18,8 @@ AT_WORK_NS = 1_000_000_000
 """Time after a set-point within which its node is at work."""
 FORGOTTEN_NS = 2_000_000_000
 """Time after the start of other nodes within which a node with set-points is started, too."""
+UNSTARTED_NS = 10_000_000_000
+"""Time with set-points within which a node is started, if no node is."""
 NONE = np.zeros(0, np.int64)
 LEAST = 5
 """Set-points behind the command, at least."""
@@ -67,16 +69,18 @@ class Orders:
     def _forgotten(self, number: int, t_ns: Integers) -> None:
         """Note a node that gets set-points, and that no command starts while others are started."""
         node = self.bus.nodes.get(number)
-        started = [o.t_ns for o in self.bus.orders if o.command == NmtCommand.START and not o.concerns(number)]
-        if node is None or not started or self.clues.stands("not_started", number):
+        started_ns = next(
+            (o.t_ns for o in self.bus.orders if o.command == NmtCommand.START and not o.concerns(number)), NEVER
+        )
+        if node is None or self.clues.stands("not_started", number):
             return
         for (since_ns, state), (until_ns, _) in pairwise([*node.states, (NEVER, -1)]):
-            due_ns = max(since_ns, started[0]) + FORGOTTEN_NS
+            due_ns = min(max(since_ns, started_ns) + FORGOTTEN_NS, since_ns + UNSTARTED_NS)
             place = int(t_ns.searchsorted(due_ns))
             if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] > until_ns:
                 continue
             told = (number, since_ns) in self._told
-            if not told and self.bus.ordered(number, started[0], int(t_ns[place])) is None:
+            if not told and self.bus.ordered(number, min(started_ns, since_ns), int(t_ns[place])) is None:
                 self._told.add((number, since_ns))
                 text = "set-points come to it, and no command starts it: it stays PRE-OPERATIONAL"
                 clue = self.clues.begin("not_started", number, since_ns, text, due_ns=due_ns)

@@ -32,6 +32,8 @@ FLIPS = 4
 """Successive heartbeats with another state than the one before that two devices send."""
 PROGRAM_NS = 60 * S
 """Time after a command to its program (1F51h) within which a node may be silent and boot."""
+START_NS = 20_000_000_000
+"""Time after a command to start its program within which a node boots."""
 LIFE_ERROR = 0x8130
 """EMCY of a node that misses the heartbeat or guarding of another one."""
 ANSWERED_NS = 10 * S
@@ -131,6 +133,8 @@ class Nodes:
             return self._returns.get(node.number, NEVER)
         if node.reset_ns >= 0:
             return node.reset_ns + BOOT_NS
+        if node.program_starts:
+            return node.program_ns + START_NS
         if node.number in self._toggles or node.heartbeat_ns < 0 or not node.period_ns:
             return NEVER
         return node.heartbeat_ns + round(LOST * node.period_ns)
@@ -157,6 +161,12 @@ class Nodes:
                 )
                 self._lost(block, node, last, text, row, node.reset_ns + BOOT_NS)
             return
+        if node.program_starts:
+            node.program_starts = False
+            if last <= node.program_ns + FLYING_NS:
+                text = f"nothing comes from it since its program was started at {self._at(node.program_ns)} (1F51h)"
+                self._lost(block, node, last, text, row, node.program_ns + START_NS)
+            return
         due = node.heartbeat_ns + node.period_ns
         if self._said_goodbye(node) or self._stands(number) or self._programmed(node, at_ns):
             return
@@ -172,11 +182,18 @@ class Nodes:
 
     def _lost(self, block: Block | None, node: SeenNode, t_ns: int, text: str, row: int, due_ns: int) -> None:
         """Begin the loss of a node."""
-        kind = "host_lost" if self.bus.is_host(node.number, due_ns) else "node_lost"
+        is_host = self.bus.is_host(node.number, due_ns) or self._ends_sync(block, node, due_ns)
+        kind = "host_lost" if is_host else "node_lost"
         if kind == "host_lost":
             self.bus.silences.append(Silence(due_ns))
         self._loss[node.number] = self.clues.begin(kind, node.number, t_ns, text, row=row, due_ns=due_ns)
         self._seek(block, node.number)
+
+    def _ends_sync(self, block: Block | None, node: SeenNode, due_ns: int) -> bool:
+        """Return whether SYNC ended, too, at the silence of a node that only sent heartbeats: it is the host."""
+        last_ns = self.bus.last_sync_ns(block, node.heartbeat_ns + round(LOST * node.period_ns))
+        ended = 0 <= node.heartbeat_ns - node.period_ns <= last_ns <= due_ns
+        return ended and self.bus.only_beats(node.number, due_ns)
 
     def _stands(self, number: int) -> bool:
         return any(self.clues.stands(kind, number) for kind in LOST_KINDS)
@@ -250,6 +267,7 @@ class Nodes:
             self.clues.end(kind, node.number, t_ns, "it boots")
         self.clues.end_all("emcy", node.number, t_ns, "it boots")
         node.boots += 1
+        node.program_starts = False
         node.booted_ns = t_ns
         node.enter(t_ns, NmtState.INITIALISING)
         node.heartbeat_ns, node.period_ns, node.reset_ns = -1, 0, -1
@@ -277,7 +295,7 @@ class Nodes:
                 self.bus.silences[-1].back_ns = t_ns
             for kind in LOST_KINDS:
                 self.clues.end(kind, number, t_ns, "its heartbeats come again")
-        if node.heartbeat_ns < 0 or number in self._toggles:
+        if node.heartbeat_ns < 0 or node.heartbeat_row < 0 or number in self._toggles:
             return  # a guarded node only responds to requests
         gap = t_ns - node.heartbeat_ns
         node.intervals.add(gap)
@@ -401,6 +419,8 @@ class Nodes:
         self.bus.node(number, t_ns)
         code = int.from_bytes(data[:2], "little")
         self.bus.nodes[number].emergencies += code != 0
+        if code == 0 and any(data[2:3]):
+            return  # one error is over, another one remains (CiA 301, 7.2.7.1)
         if code == 0:
             self.clues.end_all("emcy", number, t_ns, "EMCY 0000h: no error any more")
             return

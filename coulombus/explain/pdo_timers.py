@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import Block, Frames
+from coulombus.explain.frames import Block, Frames, Integers
 from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTimers"]
@@ -40,11 +40,15 @@ class PdoTimers:
         soon = gaps < SOON * known.inhibit_ns
         late = (gaps > LATE * known.event_ns) & (gaps < STOPPED * known.event_ns) & (known.event_ns > 0)
         for kind, which, limit in (("inhibit_time", soon, known.inhibit_ns), ("event_timer", late, known.event_ns)):
-            for i in np.flatnonzero(which)[:200].tolist():
-                begin, end = int(stamps[i]), int(stamps[i + 1])
-                if kind == "event_timer" and self.bus.ordered(known.node, begin, end) is not None:
-                    continue
-                setting = "inhibit time" if kind == "inhibit_time" else "event timer"
-                text = f"{known.name} comes after {(end - begin) / MS:.1f} ms; its {setting} is {limit / MS:g} ms"
-                row = int(group.rows[max(i + 1 - first, 0)])
-                self.clues.note(kind, known.node, end, text, row=row, subject=key)
+            places = np.flatnonzero(which)
+            setting = "inhibit time"
+            if kind == "event_timer":
+                setting = "event timer"
+                ordered = [self.bus.ordered(known.node, *stamps[i : i + 2].tolist()) is not None for i in places]
+                places = places[~np.array(ordered, bool)]
+
+            def text(i: int, at: Integers = places, limit_ms: float = limit / MS, setting: str = setting) -> str:
+                return f"{known.name} comes after {gaps[at[i]] / MS:.1f} ms; its {setting} is {limit_ms:g} ms"
+
+            rows = group.rows[np.maximum(places + 1 - first, 0)]
+            self.clues.series(kind, known.node, stamps[places + 1], rows, text, subject=key)

@@ -7,7 +7,7 @@ import numpy as np
 from coulombus.eds.cia301 import NmtState
 from coulombus.explain.bus import EMCY, NMT, PDOS, SDO_TX, Bus
 from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
-from coulombus.explain.sync_intervals import EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
+from coulombus.explain.sync_intervals import ENDING_NS, EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
 from coulombus.recording.maps.seen_maps import Map
 
 __all__ = ["PdoTiming"]
@@ -18,6 +18,8 @@ TIMED = 15
 """Intervals of which the own period of a PDO is learned."""
 STOPPED = 5
 """Own periods after which a PDO has stopped."""
+RESTS = 3
+"""Stops after which a PDO whose contents were never repeated is event-driven: what it tells of moves and rests."""
 EVEN_NS = 10_000_000_000
 """Time of even intervals after which a PDO is cyclic whose contents were never repeated: what moves is sent so, too."""
 ALWAYS_NS = 1_000_000_000
@@ -94,7 +96,7 @@ class PdoTiming:
         """Set node, name and type by the present map, else by the identifier."""
         if known is not None:
             pdo.node, pdo.name, pdo.sends = known.node, known.name, known.direction == "tpdo"
-            pdo.synchronous, pdo.event_ns = known.synchronous, known.event_ns
+            pdo.synchronous, pdo.event_ns = known.each_sync, known.event_ns
         else:
             pdo.node, pdo.name, pdo.sends = pdo.key & 0x7F or None, f"PDO {pdo.key:03X}h", bool(pdo.key & 0x080)
 
@@ -126,7 +128,7 @@ class PdoTiming:
         if pdo.synchronous and pdo.stopped:
             self._comes(pdo, int(group.t_ns[0]))
         own = stamps[1:] < pdo.followed_ns
-        if not pdo.synchronous and own.any():
+        if not (pdo.synchronous or pdo.moves) and own.any():
             number = int(own.sum())
             self._own_gaps(pdo, group, stamps[: number + 1], gaps[:number], equal[:number])
         if pdo.synchronous or not own.all():
@@ -160,7 +162,7 @@ class PdoTiming:
         lasts = so_far - broken
         whole_time = so_far + pdo.watched_ns  # since its first frame
         always = (lasts == whole_time) & (lasts >= ALWAYS_NS) & self._began_at_once(pdo)
-        timed = (narrow & ((lasts >= EVEN_NS) | always)) | (repeated >= EQUAL) | (pdo.synchronous is False)
+        timed = (narrow & ((lasts >= EVEN_NS) | always)) | (repeated >= EQUAL)
         timed |= pdo.event_ns > 0
         shown = np.flatnonzero((high < 1.5 * median) & (low > 0.5 * median) & timed)
         if number:
@@ -177,7 +179,7 @@ class PdoTiming:
 
     def _stopped(self, pdo: SeenPdo, begin: int, row: int, t_ns: int) -> None:
         """Note a stop that is overdue at a time [ns]."""
-        due_ns = self.bus.order_due_ns(begin, STOPPED * pdo.period_ns)
+        due_ns = self.bus.order_due_ns(begin, max(STOPPED * pdo.period_ns, 0 if pdo.sends else ENDING_NS))
         if t_ns <= due_ns:
             return
         pdo.excused = True
@@ -186,12 +188,19 @@ class PdoTiming:
         text = f"{pdo.name} stops, it came every {pdo.period_ns / MS:.3g} ms"
         due = begin + pdo.period_ns
         pdo.stopped = "pdo_stopped" if pdo.sends else "rpdo_missing"
-        self.clues.begin(pdo.stopped, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=due)
+        text, who = self.bus.pdo_end(pdo.key, begin, t_ns, text)
+        clue = self.clues.begin(pdo.stopped, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=due)
+        clue.who = who
+        pdo.stops.append(clue)
 
     def _comes(self, pdo: SeenPdo, t_ns: int) -> None:
-        if pdo.stopped:
-            self.clues.end(pdo.stopped, pdo.node, t_ns, "it comes again", subject=pdo.key)
-            pdo.stopped = ""
+        if not pdo.stopped:
+            return
+        self.clues.end(pdo.stopped, pdo.node, t_ns, "it comes again", subject=pdo.key)
+        pdo.stopped = ""
+        if len(pdo.stops) >= RESTS and not pdo.event_ns and pdo.equal < EQUAL:
+            self.clues.retract(pdo.stops)
+            pdo.moves, pdo.period_ns = True, 0
 
     # in excess
 

@@ -6,16 +6,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from coulombus.eds import sdo_forms as forms
-from coulombus.eds.cia301 import Abort, NmtState, abort_text
+from coulombus.eds.cia301 import Abort, abort_text
 from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_channel import NO_BEGINNING, SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.clues import Clue
-from coulombus.explain.device_errors import ABORT_CHECKS, error_text
+from coulombus.explain.device_errors import ABORT_CHECKS
 from coulombus.explain.frames import NEVER
 from coulombus.explain.object_names import object_text
+from coulombus.explain.written_objects import WrittenObjects, number_text
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["SdoTransfers"]
@@ -26,6 +27,8 @@ SOON_NS = 200_000_000
 """The same for a node that never sent a frame."""
 LATE_NS = 10_000_000_000
 """Time after a request within which a response may still be its."""
+WAITING_NS = 5_000_000_000
+"""Time for which a client may wait for a node that is alive."""
 PATIENT_NS = 500_000_000
 """A client that gives up sooner is impatient."""
 REPEATED_NS = 2_000_000
@@ -38,11 +41,10 @@ OVERLAP_NS = 100_000_000
 """Time after a request within which another one does not wait for its answer."""
 IN_A_ROW = 3
 """Unanswered requests in a row to a node whose heartbeats go on: it does not hear."""
-SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
-MAPPING = (*SETTINGS, range(0x1000, 0x1001), range(0x1018, 0x1019))
-"""Objects on which PDO maps, names and periods depend."""
-PROGRAM = 0x1F51
-"""Program control (CiA 302-3): stop, start, reset, clear."""
+PROGRAMS = range(0x1F50, 0x1F58)
+"""Programs of a device (CiA 302-3)."""
+NODES_OWN = (Abort.MEMORY, Abort.HARDWARE)
+"""Codes of a node that cannot do what it should, whoever asks."""
 OPTIONAL = (Abort.NO_OBJECT, Abort.NO_SUBINDEX, Abort.WRITE_ONLY)
 READS = (forms.UPLOAD_INITIATE.phase, forms.BLOCK_UPLOAD_INITIATE.phase)
 WRITES = (forms.DOWNLOAD_INITIATE.phase, forms.BLOCK_DOWNLOAD_INITIATE.phase)
@@ -64,6 +66,8 @@ class _Request:
     repeated_ns: int = -1  # time at which the client sent it again
     wrong: bool = False  # its size or CRC is
     overlaps: bool = False  # another request of the channel was not answered yet
+    left_ns: int = -1  # time at which the client asked for something else
+    misanswered: bool = False  # an answer about another object came
 
     @property
     def at(self) -> tuple[int, int]:
@@ -81,7 +85,8 @@ class _Server:
     channel: SdoChannel = field(default_factory=lambda: SdoChannel(None))
     waiting: list[_Request] = field(default_factory=list)
     abandoned: list[tuple[_Request, int]] = field(default_factory=list)
-    """Requests without an answer, and the times at which the client gave up."""
+    """Requests without an answer, and the times at which the client gave up; -1: it did not."""
+    aborted_ns: int = -1  # the last abort of the client
     running: _Request | None = None  # a segmented or block transfer under way
     kind: str = ""  # of it
     last_ns: int = 0
@@ -92,16 +97,19 @@ class _Server:
     extra: int = 0  # answers that repeated requests still may have
     strays: int = 0  # answers that no client waits for, since the last request
     stray_ns: int = -1
-    written: dict[tuple[int, int], int] = field(default_factory=dict)
     silent: list[_Request] = field(default_factory=list)
     """Unanswered requests since the last answer."""
+
+    def leave(self, t_ns: int) -> None:
+        """Note that the client does not wait any more."""
+        self.abandoned = [(request, t_ns if left < 0 else left) for request, left in self.abandoned]
 
 
 class SdoTransfers:
     """Monitors the default SDO channel of every node."""
 
     def __init__(self, bus: Bus) -> None:
-        self.bus, self.clues = bus, bus.clues
+        self.bus, self.clues, self._objects = bus, bus.clues, WrittenObjects(bus)
         self._servers: dict[int, _Server] = {}
         self._next_ns = NEVER  # nothing is overdue before
 
@@ -142,10 +150,10 @@ class SdoTransfers:
         self._next_ns = NEVER
         for number, server in self._servers.items():
             for request in list(server.waiting):
-                due_ns = max(request.t_ns, request.repeated_ns) + ANSWER_NS
+                due_ns = self._due_ns(number, request, t_ns)
                 if t_ns > due_ns:
                     server.waiting.remove(request)
-                    self._gave_up(number, server, request, due_ns, "no answer comes")
+                    self._gave_up(number, server, request, due_ns, "no answer comes", waits=request.left_ns < 0)
                 else:
                     self._next_ns = min(self._next_ns, due_ns)
             if server.running is not None:
@@ -153,6 +161,20 @@ class SdoTransfers:
                     self._unfinished(number, server, server.last_ns)
                 else:
                     self._next_ns = min(self._next_ns, server.last_ns + IDLE_NS)
+
+    def _due_ns(self, number: int, request: _Request, t_ns: int) -> int:
+        """Return the time [ns] at which a response is overdue, as far as it is known at `t_ns`.
+
+        A client that neither asks again nor for something else may wait for a node that is alive.
+        """
+        due_ns = request.t_ns + ANSWER_NS
+        if request.repeated_ns >= 0:
+            return max(due_ns, min(request.repeated_ns, due_ns) + ANSWER_NS)
+        node = self.bus.nodes.get(number)
+        if t_ns <= due_ns or request.left_ns >= 0 or node is None:
+            return max(due_ns, request.left_ns)
+        beats = node.heartbeat_ns > request.t_ns or 0 <= due_ns - node.heartbeat_ns < 2 * node.period_ns
+        return request.t_ns + WAITING_NS if beats or request.index in PROGRAMS else due_ns
 
     def missing(self) -> list[Clue]:
         """Return the nodes that were asked and never sent a frame, but for those of a scan."""
@@ -166,6 +188,10 @@ class SdoTransfers:
             clues.append(Clue("node_missing", number, first.t_ns, text, due_ns=first.t_ns, rows=[first.row]))
         return clues
 
+    def _is_scan(self) -> bool:
+        """Return whether so many node ids are asked in vain that a client looks for nodes."""
+        return sum(bool(server.silent) for n, server in self._servers.items() if n not in self.bus.nodes) >= SCAN
+
     def _unanswered(self, server: _Server) -> list[_Request]:
         return [*server.silent, *(r for r in server.waiting if self.bus.last_ns - r.t_ns > SOON_NS)]
 
@@ -177,6 +203,10 @@ class SdoTransfers:
                     server.extra += 1
                 return
         request.overlaps = any(request.t_ns - before.t_ns < OVERLAP_NS for before in server.waiting)
+        server.leave(request.t_ns)
+        for before in server.waiting:
+            before.left_ns = request.t_ns if before.left_ns < 0 else before.left_ns
+            self._next_ns = min(self._next_ns, before.t_ns + ANSWER_NS)
         if server.answered is not None and server.running is None:
             self.clues.end("sdo_not_taken", number, server.answer_ns, "the client took a later answer")
         if server.running is not None:
@@ -193,7 +223,7 @@ class SdoTransfers:
         transfer = server.channel.transfer
         server.waiting.remove(request)
         self._answered(t_ns, number, server, request, data)
-        if request.repeated_ns >= 0:
+        if request.repeated_ns >= 0 and self.bus.nodes[number].since_ns < request.t_ns:
             again, took = (request.repeated_ns - request.t_ns) / 1e6, (t_ns - request.t_ns) / 1e6
             text = f"{self._object(number, data)} was asked again after {again:.0f} ms, its answer came after {took:.0f} ms"
             self.clues.note("sdo_repeated", number, request.repeated_ns, text, row=request.row)
@@ -206,7 +236,8 @@ class SdoTransfers:
         if not request.writes:
             size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
             request.value = int.from_bytes(data[4 : 4 + size], "little")
-        self._value(row, t_ns, number, server, request, request.value)
+        if request.value is not None:
+            self._objects.take(row, t_ns, number, request.at, request.value, writes=request.writes)
         self._done(t_ns, number, request)
 
     def _answered(self, t_ns: int, number: int, server: _Server, request: _Request, data: bytes) -> None:
@@ -221,62 +252,6 @@ class SdoTransfers:
         self.bus.node(number, t_ns).transfers += 1
         for kind in UPSETS:
             self.clues.end(kind, number, t_ns, "a later transfer of it succeeded", subject=request.at)
-
-    def _value(self, row: int, t_ns: int, number: int, server: _Server, request: _Request, value: int | None) -> None:
-        if value is None:
-            return
-        at = (request.index, request.subindex)
-        node = self.bus.node(number, t_ns)
-        if request.writes:
-            server.written[at] = value
-        elif any(request.index in some for some in SETTINGS) and at in server.written and node.booted_ns < t_ns:
-            was = server.written[at]
-            if value & ~(1 << 30) != was & ~(1 << 30) and node.objects.get(at) == was:
-                text = f"{where(*at)} was written with {_number(was)} and confirmed; read back it is {_number(value)}"
-                self.clues.begin("not_applied", number, t_ns, text, row=row, subject=at)
-            else:
-                self.clues.end("not_applied", number, t_ns, "it reads as written", subject=at)
-        if at[0] == 0x1003 and at[1] and value and not request.writes:
-            text = f"{where(*at)} (error history) has {error_text(value & 0xFFFF)}"
-            self.clues.note("error_history", number, t_ns, text, row=row, subject=value)
-        if at == (0x1000, 0):
-            node.device_type = value
-        if at[0] == 0x1016 and request.writes and at[1]:
-            self.bus.host = value >> 16 & 0x7F or self.bus.host
-        if 0x6000 <= at[0] < 0xA000 or at[0] == 0x603F:
-            self.bus.words.append((row, t_ns, number, at[0], value))
-            self._mode(row, t_ns, number, server, at, value, request.writes)
-        if at == (0x1017, 0) and request.writes and value != node.objects.get(at):
-            at_work = node.state_at(t_ns) == NmtState.OPERATIONAL and not self.bus.left_on_order(number, t_ns)
-            if not value and node.period_ns and at_work:
-                text = "1017h was written with 0: its heartbeats end"
-                self.clues.begin("heartbeat_lost", number, t_ns, text, row=row).who = "client"
-            node.change_beat(t_ns, value * 1_000_000)
-            self.bus.beats_changed = True
-        if at == (0x1006, 0) and request.writes and value and value * 1000 != self.bus.sync_period_ns:
-            self.bus.expect_sync(written=True)
-        if at[0] == PROGRAM and request.writes:
-            node.program_ns = t_ns
-        if 0x1600 <= at[0] < 0x1800 or 0x1A00 <= at[0] < 0x1C00:
-            self.bus.configured.add(number)
-        if node.objects.get(at) != value:
-            node.objects[at] = value
-            self.bus.stale |= any(at[0] in some for some in MAPPING)
-
-    def _mode(
-        self, row: int, t_ns: int, number: int, server: _Server, at: tuple[int, int], value: int, writes: bool
-    ) -> None:
-        """Compare a drive's displayed mode (6061h) with the written one (6060h)."""
-        if (at[0] - 0x6000) % 0x800 != 0x61 or writes:
-            return
-        wish = server.written.get((at[0] - 1, 0))
-        if wish is None:
-            return
-        if wish == value:
-            self.clues.end("mode_refused", number, t_ns, "it shows the mode", subject=at[0])
-        else:
-            text = f"mode of operation {wish} was written, {where(*at)} shows {value}"
-            self.clues.begin("mode_refused", number, t_ns, text, row=row, subject=at[0])
 
     def _unasked(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, phase: str) -> None:
         """Process an answer for which no request waits: late, second, about another object, or stray."""
@@ -294,6 +269,7 @@ class SdoTransfers:
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="sdo")
         elif server.waiting:
             asked = server.waiting[-1]
+            asked.misanswered = True
             text = f"asked about {where(*asked.at)}, it answered about {self._object(number, data)}"
             self.clues.begin("sdo_wrong_object", number, asked.t_ns, text, row=row)
         elif server.answered is not None:
@@ -308,6 +284,8 @@ class SdoTransfers:
         """Note an answer after the client gave up."""
         took, waited = t_ns - request.t_ns, gave_up_ns - request.t_ns
         self._answered(t_ns, number, server, request, data)
+        if gave_up_ns < 0:
+            return  # the client waited
         text = f"{self._object(number, data)}: the answer came after {took / 1e6:.4g} ms, the client gave up after {waited / 1e6:.4g} ms"
         clue = self.clues.begin("sdo_late", number, request.t_ns, text, row=request.row, subject=request.at)
         clue.who = "client" if waited < PATIENT_NS else "node"
@@ -320,6 +298,9 @@ class SdoTransfers:
         running, server.running = server.running, None
         if request is not None:
             server.waiting.remove(request)
+        if not by_server:
+            server.aborted_ns = t_ns
+            server.leave(t_ns)
         if code == Abort.TIMEOUT:
             if by_server:
                 text = f"{self._object(number, data)}: the node waited for the client, which did not go on"
@@ -331,24 +312,31 @@ class SdoTransfers:
         if by_server and request is None and server.extra and data[1:4] == server.answer[1:4]:
             server.extra -= 1  # the answer to a request that was repeated
             return
-        if by_server and request is None and t_ns - server.last_ns < ANSWER_NS and not server.last_by_server:
+        if (
+            by_server
+            and request is None
+            and 0 <= server.aborted_ns == server.last_ns
+            and t_ns - server.last_ns < ANSWER_NS
+        ):
             return  # the client gave the transfer up just before
         if by_server and request is not None:
             self._answered(t_ns, number, server, request, data)
         writes = request is not None and request.writes
         if not by_server:
             text = f"{self._object(number, data)}: {abort_text(code)}"
-            self.clues.note("sdo_client_abort", number, t_ns, text, row=row)
+            clue = self.clues.note("sdo_client_abort", number, t_ns, text, row=row)
+            clue.who = "node" if code == Abort.TOGGLE and server.last_by_server else ""
             return
         kind = "sdo_refused_read" if not writes and code in OPTIONAL else "sdo_abort"
         verb = "write" if writes else "read" if request is not None else "transfer"
-        value = f" of {_number(request.value)}" if request is not None and request.value is not None else ""
+        value = f" of {number_text(request.value)}" if request is not None and request.value is not None else ""
         text = f"the node refused the {verb}{value} of {self._object(number, data)}: {abort_text(code)}"
         if kind == "sdo_abort" and writes:
             clue = self.clues.begin(kind, number, t_ns, text, row=row, subject=at)
         else:
             clue = self.clues.note(kind, number, t_ns, text, row=row, subject=at if writes else None)
         clue.check = ABORT_CHECKS.get(code, "")
+        clue.who = "node" if code in NODES_OWN else ""
 
     def _timed_out(
         self, row: int, t_ns: int, number: int, server: _Server, request: _Request | None, running: _Request | None
@@ -370,11 +358,15 @@ class SdoTransfers:
             self.clues.begin("sdo_not_taken", number, asked.t_ns, text, row=row)
             server.answered = None
 
-    def _gave_up(self, number: int, server: _Server, request: _Request, t_ns: int, how: str) -> None:
-        """Note a request without an answer."""
-        server.abandoned = [*server.abandoned[-3:], (request, t_ns)]
+    def _gave_up(
+        self, number: int, server: _Server, request: _Request, t_ns: int, how: str, *, waits: bool = False
+    ) -> None:
+        """Note a request without an answer; `waits`: nothing says that the client does not wait for it."""
+        server.abandoned = [*server.abandoned[-3:], (request, -1 if waits and request.repeated_ns < 0 else t_ns)]
+        if request.misanswered:
+            return
         server.silent.append(request)
-        if not self.bus.present(number, t_ns):
+        if not self.bus.present(number, request.t_ns) or (server.answered is None and self._is_scan()):
             return
         node = self.bus.nodes[number]
         beats = node.heartbeat_ns > request.t_ns or (node.period_ns and t_ns - node.heartbeat_ns < 2 * node.period_ns)
@@ -388,7 +380,7 @@ class SdoTransfers:
             else ""
         )
         first = server.silent[0]
-        if len(server.silent) >= IN_A_ROW and node.heartbeat_ns > first.t_ns:
+        if len(server.silent) >= IN_A_ROW and beats and node.heartbeat_ns > first.t_ns:
             text = f"{len(server.silent)} SDO requests in a row have no answer, and its heartbeats go on"
             if not self.clues.stands("not_hearing", number):
                 self.clues.begin("not_hearing", number, first.t_ns, text, row=first.row)
@@ -420,7 +412,3 @@ def _expedited(says: dict[str, Any]) -> int | None:
     """Return the value of an expedited download, None for any other request."""
     value = says.get("value")
     return value if isinstance(value, int) else None
-
-
-def _number(value: int | None) -> str:
-    return "?" if value is None else f"{value} ({value:X}h)" if value > 9 else str(value)

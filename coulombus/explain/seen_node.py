@@ -56,6 +56,7 @@ class SeenNode(MappedNode):
     reset_ns: int = -1  # the first reset command without a boot-up since
     reset_alone: bool = False  # it went to this node only
     program_ns: int = -1  # the last command to its program (1F51h)
+    program_starts: bool = False  # that command starts it, and no boot-up came since
     life_ns: int = -1  # the last EMCY about a heartbeat or guarding that it misses
     period_ns: int = 0  # of heartbeats; 0: unknown
     last_gap_ns: int = 0
@@ -73,6 +74,16 @@ class SeenNode(MappedNode):
     sdo_response: Spread = field(default_factory=Spread)
     """Times [ns] from an SDO request to its response."""
     booted_ns: int = -1
+
+    @property
+    def produces_sync(self) -> bool:
+        """Whether 1005h (COB-ID SYNC), as it was written or read last, has bit 30."""
+        return bool(self.objects.get((0x1005, 0), 0) >> 30 & 1)
+
+    @property
+    def since_ns(self) -> int:
+        """Time [ns] since which it is there: its boot-up, else its first frame."""
+        return max(self.first_ns, self.booted_ns)
 
     def state_at(self, t_ns: int) -> int:
         """Return the NMT state at a time [ns], -1 if unknown."""
@@ -95,7 +106,9 @@ class SeenNode(MappedNode):
 
     def change_beat(self, t_ns: int, period_ns: int) -> None:
         """Wait for heartbeats of another period from a time [ns] on; 0: for none."""
-        self.heartbeat_ns = max(self.heartbeat_ns, t_ns) if period_ns and self.heartbeat_ns >= 0 else -1
+        if self.heartbeat_ns < 0:
+            self.heartbeat_row = -1  # none came yet
+        self.heartbeat_ns = max(self.heartbeat_ns, t_ns) if period_ns else -1
         self.period_ns, self.learned_ns = period_ns, t_ns
         self.gaps.clear()
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.explain.bus import Bus
+from coulombus.explain.clues import Clue
 from coulombus.explain.frames import NEVER, Frames, Integers, Rolling
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
@@ -22,12 +23,14 @@ its contents were repeated, and if only its time after SYNC is steady.
 """
 EQUAL, STEADY = 5, 0.1
 """Repeated contents that an event-driven PDO would not send; maximum spread, in periods, of a steady time after SYNC."""
-DISARMED_NS = 500_000_000
-"""Time within which a command explains that a PDO of a disarmed drive stops, while SYNC goes on."""
+ENDING_NS = 500_000_000
+"""Time within which a command explains that set-points stop, or a PDO of a disarmed drive, while SYNC goes on."""
 GAP = 1.5
 """Interval, in SYNC periods, between two frames of a PDO of which none is missing."""
 MORE, WINDOW = 6, 50
 """SYNC intervals with two frames of a PDO that show a second sender, among the last so many."""
+CROSSED = 0.8
+"""Change of the time after SYNC, in periods, of a frame that came before SYNC and comes after it now."""
 OFTEN = 5
 """Late frames among so many that are told."""
 BABBLE_WINDOW = 280
@@ -76,6 +79,7 @@ class SeenPdo:
     latencies: Integers = field(default_factory=lambda: NONE)  # the last times after SYNC
     learned: list[float] = field(default_factory=list)
     usual_ns: float = -1.0  # usual time after SYNC
+    crossed_ns: int = NEVER  # its time after SYNC went through a whole period then: a timer sends it
     empties: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     differing: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     late: Rolling = field(default_factory=lambda: Rolling(WINDOW))
@@ -87,6 +91,8 @@ class SeenPdo:
     event_ns: int = 0  # its event timer
     excused: bool = False  # the present stop is explained, or noted
     stopped: str = ""  # kind of the clue of a stop
+    stops: list[Clue] = field(default_factory=list)
+    moves: bool = False  # it is event-driven: it comes while something moves
     # in excess
     rapid: Rolling = field(default_factory=lambda: Rolling(BABBLE_WINDOW))
     babbles: bool = False
@@ -142,6 +148,7 @@ class SyncIntervals:
             self._walk(pdo, group, frames, stamps, counts, edges, carried)
         if intervals:
             self._doubled(pdo, group, place, counts, differs, edges)
+        self._cross(pdo, group, frames)
         self._latency(pdo, group, frames)
         pdo.latencies = np.concatenate((pdo.latencies, frames.latency))[-CHANCE:]
 
@@ -244,7 +251,7 @@ class SyncIntervals:
     def _hold_ns(self, pdo: SeenPdo, begin: int) -> int:
         """Return the time within which a command explains that a PDO is missing: longer while its drive is disarmed."""
         disarmed = pdo.node is not None and self.bus.is_disarmed(pdo.node, begin)
-        return max(self._at_once_ns, DISARMED_NS if disarmed else 0)
+        return max(self._at_once_ns, ENDING_NS if disarmed or not pdo.sends else 0)
 
     def _excused(self, node: int | None, until_ns: int) -> bool:
         """Return whether NMT commands until a time [ns] explain that a PDO stops."""
@@ -264,7 +271,8 @@ class SyncIntervals:
     def _begin_missing(self, pdo: SeenPdo, begin: int, row: int) -> None:
         pdo.held = None
         text = f"no {pdo.name} after SYNC" if pdo.sends else f"no {pdo.name}: set-points do not come"
-        self.clues.begin(pdo.kind, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=begin)
+        text, who = self.bus.pdo_end(pdo.key, begin, begin + self._hold_ns(pdo, begin), text)
+        self.clues.begin(pdo.kind, pdo.node, begin, text, row=row, subject=pdo.key, due_ns=begin).who = who
 
     def _again(self, pdo: SeenPdo, t_ns: int) -> None:
         if pdo.held is not None:
@@ -308,6 +316,12 @@ class SyncIntervals:
         if len(often) and not often[-1]:
             pdo.twice_ns = -1
 
+    def _cross(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
+        """Note that a PDO comes before SYNC and then after it, or the other way round."""
+        change = np.abs(np.diff(frames.latency, prepend=pdo.latencies[-1] if len(pdo.latencies) else NEVER))
+        crossed = group.t_ns[(change > CROSSED * self.bus.sync_period_ns) & (change < self.bus.sync_period_ns)]
+        pdo.crossed_ns = min([pdo.crossed_ns, *crossed[:1].tolist()])
+
     def _latency(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
         """Note PDOs that come much later after SYNC than usual."""
         known = (frames.place >= 0) & frames.first & (frames.latency < GAP * self.bus.sync_period_ns)
@@ -337,6 +351,7 @@ class SyncIntervals:
         deviation = latency[skipped:] - usual
         if not pdo.synchronous:
             deviation = (deviation + period / 2) % period - period / 2
+            deviation[group.t_ns[places[skipped:]] >= pdo.crossed_ns] = 0
         strange = np.abs(deviation) > 0.3 * period
         often = np.flatnonzero((pdo.late.counts(strange) >= OFTEN) & strange)
         which = places[skipped:][often]

@@ -96,6 +96,7 @@ class SyncTiming:
                 block, stamps[skipped:], rows[skipped:], gaps[skipped:], self._stop if skipped == 0 else None
             )
         self._stop = _Stop(int(sync.t_ns[-1]), int(sync.rows[-1]))
+        self.bus.sync_ns = self._stop.t_ns
         self.look(int(block.t_ns[-1]), block)
         self._heard_ns = int(block.t_ns[-1])
 
@@ -132,7 +133,11 @@ class SyncTiming:
     def _begin(self, stop: _Stop, t_ns: int, text: str) -> None:
         period = self.bus.sync_period_ns
         text += f": it came every {period / MS:g} ms" if stop.kind == "sync_lost" else ""
+        producer = next((n for n, node in self.bus.nodes.items() if node.produces_sync), None)
+        text += f"; {self.bus.name(producer)} produces it (1005h)" if producer is not None else ""
         stop.clue = self.clues.begin(stop.kind, None, t_ns, text, row=stop.row, due_ns=stop.t_ns + period)
+        if producer is not None and stop.kind == "sync_lost" and not self.bus.is_host(producer, stop.t_ns):
+            stop.clue.who = "node"
 
     @property
     def _limit_ns(self) -> int:
@@ -149,6 +154,8 @@ class SyncTiming:
 
     def _ordered(self, begin: int, until_ns: int) -> bool:
         """Return whether NMT commands explain that cyclic frames stop after `begin`, as known at a time."""
+        if begin - self.bus.sync_period_ns <= self.bus.sync_off_ns <= until_ns:
+            return True
         soon = min(self.bus.order_due_ns(begin, max(5 * self.bus.sync_period_ns, 20 * MS)), until_ns)
         nodes = [n for n in self.bus.nodes if self.bus.present(n, begin) and not self.bus.is_host(n, soon)]
         running = [number for number in nodes if not self.bus.left_on_order(number, soon)]

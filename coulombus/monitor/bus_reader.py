@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.view_thread import ViewThread
-from coulombus.wire.client import BusDown, BusFull, Client
-from coulombus.wire.frame_batches import Block, BlockReader
+from coulombus.wire.client import BusDown, BusFull, OpenBus
+from coulombus.wire.frame_batches import Block, block_reader
 
 __all__ = ["BATCH_S", "BusReader", "BusView"]
 
@@ -41,7 +41,7 @@ class BusReader(ViewThread):
 
     def __init__(
         self,
-        client: Client,
+        client: OpenBus,
         view: BusView,
         lock: threading.Lock,
         incidents: IncidentReader | None = None,
@@ -53,7 +53,7 @@ class BusReader(ViewThread):
         """All frames up to this time are in `view`."""
         self._client, self._view, self._lock, self._incidents = client, view, lock, incidents
         self._batch_s = batch_s
-        self._reader = BlockReader(client)
+        self._reader = block_reader(client)
         self._waiting: list[Block] = []
         self._quiet_until_s = time.monotonic()
         self._question_s = self._quiet_until_s + ASK_S

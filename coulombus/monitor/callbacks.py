@@ -15,7 +15,9 @@ from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.rigs.signals import RigPdo
-from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.adapter import open_bus
+from coulombus.wire.address import WITH_ADAPTERS
+from coulombus.wire.client import BusDown, BusFull, OpenBus
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Callback", "LiveBus", "live"]
@@ -68,7 +70,7 @@ class LiveBus:
     call nothing. The first of each PDO, and the first lost frames, are logged as a warning.
     """
 
-    def __init__(self, client: Client, rig: Rig) -> None:
+    def __init__(self, client: OpenBus, rig: Rig) -> None:
         self.rig = rig
         self._client = client
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
@@ -205,8 +207,9 @@ def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str
             bus.on("brake.handle_torque_Nm", lambda t_s, torque_Nm: print(t_s, torque_Nm))
             bus.wait(10)
 
-    It sends nothing. `bus` is an address, as ``socketcan:can0``; a plain name is a virtual bus.
-    `rig` is a rig or a path of a rig file, `channel` the bus of a rig with several.
+    It sends nothing. `bus` is an address, as ``socketcan:can0`` or
+    ``can:slcan:/dev/ttyACM0?bitrate=500000``; a plain name is a virtual bus. `rig` is a rig or a
+    path of a rig file, `channel` the bus of a rig with several.
 
     Raises
     ------
@@ -219,5 +222,5 @@ def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str
     """
     if not isinstance(bus, str):
         raise WrongCall(f'bus is {bus!r}: expected a bus\' name or address, as in live("socketcan:can0")')
-    rig_on_bus, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
-    return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), rig_on_bus)
+    rig_on_bus, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel, WITH_ADAPTERS)
+    return LiveBus(open_bus(address, Hello(Flags.LISTEN_ONLY)), rig_on_bus)

@@ -23,6 +23,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
+from coulombus.monitor.names import fields
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
@@ -238,10 +239,9 @@ class BareDecoder:
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
     """Return the raw values of a frame's mapped objects."""
     values = {}
-    for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True):
-        if start + entry.bits > 8 * length or entry.dummy:
-            continue
-        values[where(entry.index, entry.subindex)] = entry.number(word, start)
+    for signal, entry, start in fields(pdo):
+        if start + entry.bits <= 8 * length:
+            values[signal.name.rpartition(".")[2]] = entry.number(word, start)
     return values
 
 

@@ -18,8 +18,8 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.errors import CoulombusError
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Foxglove", "PlotJuggler", "PortError", "Sink", "forward"]
@@ -143,7 +143,7 @@ def forward(
 
         return send
 
-    with StopSignals() as stop, LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), rig) as bus:
+    with StopSignals() as stop, LiveBus(open_bus(address, Hello(Flags.LISTEN_ONLY)), rig) as bus:
         called = [bus.on([signal.name for signal in pdo.signals], hand_on(pdo)) for pdo in rig.pdos() if pdo.signals]
         ready(sink.url)
         end = math.inf if seconds is None else time.monotonic() + seconds

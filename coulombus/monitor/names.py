@@ -1,12 +1,11 @@
-"""Names of a rig's signals in other tools."""
+"""Names of signals in other tools."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from coulombus.eds.pdo import Entry
-from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 
 __all__ = ["fields", "identifier", "plain", "signals"]
@@ -20,9 +19,9 @@ def fields(pdo: RigPdo) -> Iterator[tuple[Signal, Entry, int]]:
             yield signal, entry, start
 
 
-def signals(rig: Rig) -> Iterator[tuple[RigPdo, Signal]]:
-    """Yield every signal of a rig with its PDO."""
-    for pdo in rig.pdos():
+def signals(pdos: Iterable[RigPdo]) -> Iterator[tuple[RigPdo, Signal]]:
+    """Yield every signal with its PDO."""
+    for pdo in pdos:
         for signal, _, _ in fields(pdo):
             yield pdo, signal
 

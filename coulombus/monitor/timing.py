@@ -19,12 +19,14 @@ from coulombus.eds.cia301 import CobId
 from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
+from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
+from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.signals import Source
-from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from coulombus.wire.client import Client
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
@@ -95,9 +97,10 @@ class _Line:
 
 
 class Stamps:
-    """The stamps [ns] of each identifier, in order of arrival."""
+    """The stamps [ns] of each identifier, in order of arrival; `source` is the clock that made them."""
 
     def __init__(self) -> None:
+        self.source = "the recording's"
         self._of: dict[int, _Line] = {}
         self._sync_ns = np.zeros(0, np.int64)
         """The last SYNC so far, if any."""
@@ -145,7 +148,7 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         There is no bus, or it closed meanwhile.
     """
     stamps = Stamps()
-    with Client(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
+    with open_bus(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not stop.wait(0):
             client.wait(min(left, WAIT_S))
@@ -155,6 +158,7 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         client.wait(WAIT_S)
         while frames := client.receive():
             stamps.take(frames)
+        stamps.source = client.stamps
         return stamps, client.lost
 
 
@@ -170,8 +174,8 @@ def recorded(source: Source) -> dict[str, Stamps]:
     return stamps
 
 
-def recorded_bare(path: Path, channel: Channel, remarks: list[str]) -> Stamps:
-    """Return the stamps of one bus of a log without a rig; add what was left out to `remarks`.
+def recorded_bare(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> tuple[KnownBus, Stamps]:
+    """Return what a log without a rig tells of one bus, and its stamps; add what was left out to `remarks`.
 
     Raises
     ------
@@ -180,17 +184,21 @@ def recorded_bare(path: Path, channel: Channel, remarks: list[str]) -> Stamps:
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    stamps = Stamps()
+    stamps, maps = Stamps(), LogMaps(eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
+        maps.take(frames)
         stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
-    return stamps
+    return KnownBus("", (), maps.pdos()), stamps
 
 
-def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
-    """Return the timing of each identifier, the lowest first; without a rig, nodes are numbers."""
-    pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in (() if rig is None else rig.pdos())}
-    nodes = {} if rig is None else {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
+    """Return the timing of each identifier, the lowest first.
+
+    A rig has all PDOs of its bus. Without one, an identifier of the predefined connection set is a PDO.
+    """
+    pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in bus.pdos}
+    nodes = {} if bus.host is None else bus.names
     timings = []
     for can_id, line in sorted(stamps.of.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
         period = line.gaps.median() if len(line.gaps) else None
@@ -205,14 +213,14 @@ def timing(rig: Rig | None, stamps: Stamps) -> tuple[Timing, ...]:
                 period_ms=None if period is None else period / 1e6,
                 jitter=None if period is None else Spread.of(line.gaps.distances(period)),
                 from_sync=Spread.of(line.delays)
-                if can_id in pdos or (rig is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDOS)
+                if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDOS)
                 else None,
             )
         )
     return tuple(timings)
 
 
-def _name(can_id: int, nodes: dict[int, str]) -> str:
+def _name(can_id: int, nodes: Mapping[int, str]) -> str:
     if can_id & CAN_RTR_FLAG:
         name = _name(can_id & ~CAN_RTR_FLAG, nodes)
         return name.replace("heartbeat", "guarding") if name.endswith("heartbeat") else f"{name} RTR"

@@ -32,13 +32,14 @@ from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
 from coulombus.monitor.view_thread import ViewThread
 from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
 from coulombus.system.keyboard import Keys, in_foreground
 from coulombus.system.printable_console import PrintableConsole
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import Client
 from coulombus.wire.frame_batches import Block
 from coulombus.wire.handshake import Flags, Hello
 
@@ -106,7 +107,7 @@ def watch(
     live.snapshot(begin_ns)  # rates count from here
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
     with (
-        Client(address, hello) as client,
+        open_bus(address, hello) as client,
         StopSignals() as stop,
         incidents,
         BusReader(client, _View(live, traces), lock, incidents, BATCH_S) as reader,
@@ -151,7 +152,7 @@ def watch(
             raise reader.failure
 
 
-def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
+def look_once(known: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
     """Listen to a bus for some time; return a snapshot. Nothing is sent.
 
     Raises
@@ -159,10 +160,10 @@ def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    live = Live(rig)
+    live = Live(known.rig, LearnedPdos(known.eds) if known.rig is None else None)
     live.snapshot(time.time_ns())
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
-    with Client(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:
+    with open_bus(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:
         stop.wait(seconds)
         if reader.failure is not None:
             raise reader.failure

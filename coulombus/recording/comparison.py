@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import filecmp
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.difference import Comparison, Difference, Pair
 from coulombus.recording.long_recording import LongRecording
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.piecewise import CommonSpan, Cursor, Tally, pair_in, pieces
 from coulombus.recording.reading import read
 from coulombus.recording.signal_names import UnknownSignal
@@ -36,6 +37,8 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 ALL = ""
 """Key of the tolerance for every signal with a unit."""
+PERIOD_S = 1e-3
+"""Period of a bus without a rig: phases that differ by less than half of it are of one length."""
 NAMED = 4
 """Signals that a sentence names; the others are counted."""
 
@@ -47,6 +50,7 @@ def compare(
     tolerances: Mapping[str, float] = NO_TOLERANCES,
     rig: Rig | str | os.PathLike[str] | None = None,
     channel: Channel = None,
+    eds: Iterable[str] | EdsFiles = (),
 ) -> Comparison:
     """Compare two recordings.
 
@@ -61,6 +65,8 @@ def compare(
         Decode with this rig instead of the attached ones.
     channel
         Which of the files' buses, as `read` takes it.
+    eds
+        EDS files, as `read` takes them.
 
     Raises
     ------
@@ -73,7 +79,7 @@ def compare(
     """
     a, b = (path_text(path, name, 'compare("a.pcapng", "b.pcapng")') for name, path in (("a", a), ("b", b)))
     _check_types(tolerances)
-    first, second = read(a, rig, channel), read(b, rig, channel)
+    first, second = (read(path, rig, channel, eds=eds) for path in (a, b))
     common = [name for name in first.signals if name in second.signals]
     units = {name: first.signal(name).unit for name in common}
     inside = {signal.name for pdo in first.inside for signal in pdo.signals}
@@ -152,7 +158,9 @@ def only_in(path: str, names: Sequence[str]) -> str:
 def _different(first: Recording, second: Recording) -> list[str]:
     """Return sentences on other differences: rig, mode."""
     remarks = []
-    if first.rig.name != second.rig.name:
+    if first.known_rig is None and second.known_rig is None and first.pdos:
+        pass  # logs without a rig, with maps of EDS files or of their own
+    elif first.rig.name != second.rig.name:
         remarks.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
     elif first.rig.effective() != second.rig.effective():
         remarks.append(f"the rig {first.rig.name} has other values in the second recording")
@@ -199,7 +207,9 @@ def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[Co
         zeros, name = (marks[0][k][0], marks[1][k][0]), marks[0][k][1].replace("phase ", "")
         after = [phases[k + 1][0] if k + 1 < len(phases) else end for phases, end in zip(marks, ends, strict=True)]
         lengths = [end - zero for end, zero in zip(after, zeros, strict=True)]
-        if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.axes[0].bus.period_s:
+        if abs(lengths[0] - lengths[1]) > 0.5 * (
+            PERIOD_S if first.known_rig is None else first.rig.axes[0].bus.period_s
+        ):
             length_remarks.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
         if exact or name != "end":
             spans.append(CommonSpan(name, zeros, 0.0, min(lengths)))

@@ -26,7 +26,7 @@ from coulombus.recording.host_telemetry import inside_pdos
 from coulombus.recording.log_files import LogError, is_log
 from coulombus.recording.logs.content import Content
 from coulombus.recording.long_recording import LongRecording
-from coulombus.recording.maps.eds_files import eds_files
+from coulombus.recording.maps.eds_files import EdsFiles, eds_files
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.signals import GIVE_RIG, Recording, decode
@@ -47,7 +47,7 @@ def read(
     rig: Rig | str | os.PathLike[str] | None = None,
     channel: Channel = None,
     *,
-    eds: Iterable[str] = (),
+    eds: Iterable[str] | EdsFiles = (),
     span: Span = WHOLE,
 ) -> Recording:
     """Read a recording: a short one whole, of a long one what is asked for.
@@ -67,7 +67,8 @@ def read(
         Bus of a file with more buses than the rig: its name in the file, as ``"can0"``; for a rig
         with several buses ``"a=can0"``, or several of these (`recording.bus_match`).
     eds
-        EDS files for a log without a rig: ``"5=drive.eds"``, or a folder whose files are matched by identity.
+        EDS files: ``"5=drive.eds"``, or a folder whose files are matched by identity. With them an attached
+        rig is not used.
     span
         Only the frames from begin to end [s], None: open. Of a recording of this project, whose stamps
         rise, the rest is not read. A counter of 32 bits is taken to begin without a wrap.
@@ -89,11 +90,12 @@ def read(
     if span != WHOLE or _is_long(path):
         return LongRecording(blocks(path, rig, channel, eds=eds, span=span))
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
-    known = _attached_rig((capture,)) if rig is None else _rig(rig)
+    files = eds_files(eds)
+    known = _known_rig((capture,), rig, files)
     recorded = recorded_channel(capture.attachments)
     match = bus_match(path, known, channel_texts(channel), recorded)
     capture = match.take(capture)
-    maps = _learned([capture], eds) if known is None else None
+    maps = _learned([capture], files) if known is None else None
     pdos = () if maps is None else maps.pdos()
     capture = replace(capture, warnings=(*capture.warnings, *match.remarks(), *remaps(path, maps, pdos)))
     if known is None:
@@ -106,7 +108,7 @@ def blocks(
     rig: Rig | str | os.PathLike[str] | None = None,
     channel: Channel = None,
     *,
-    eds: Iterable[str] = (),
+    eds: Iterable[str] | EdsFiles = (),
     span: Span = WHOLE,
 ) -> Blocks:
     """Return a recording to iterate over, repeatedly, in bounded memory.
@@ -121,11 +123,12 @@ def blocks(
     texts, span = channel_texts(channel), checked_span(span)
     stretches = captures(path)
     first = next(stretches)  # the description of the telemetry is attached first
-    known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
+    files = eds_files(eds)
+    known = _known_rig(chain([first], stretches), rig, files)
     recorded = recorded_channel(first.attachments)
     if known is None:
         match = bus_match(path, None, texts, recorded)
-        maps = _learned(map(match.take, captures(path)), eds)
+        maps = _learned(map(match.take, captures(path)), files)
         return Blocks(path, None, channel=texts, recorded=recorded, maps=maps, span=span)
     inside = _inside(known, recorded, first.attachments.get(INSIDE))
     return Blocks(path, known, inside=inside, channel=texts, recorded=recorded, span=span)
@@ -156,13 +159,16 @@ def _inside(rig: Rig, recorded: str, attached: bytes | None) -> tuple[RigPdo, ..
     return inside_pdos(rig.on(recorded) if recorded in rig.channels else rig, attached)
 
 
-def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
+def _known_rig(captures: Iterable[Capture], rig: Rig | str | os.PathLike[str] | None, eds: EdsFiles) -> Rig | None:
+    """Return the given rig, else without EDS files the attached one."""
+    if rig is None:
+        return None if eds else _attached_rig(captures)
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
-def _learned(captures: Iterable[Capture], eds: Iterable[str]) -> LogMaps:
+def _learned(captures: Iterable[Capture], eds: EdsFiles) -> LogMaps:
     """Return the PDO maps of a log, learned stepwise because a map may change."""
-    maps = LogMaps(eds_files(eds))
+    maps = LogMaps(eds)
     for capture in captures:
         for start in range(0, len(capture.frames), LEARNED):
             maps.take(capture.frames[start : start + LEARNED])

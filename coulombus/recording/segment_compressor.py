@@ -21,13 +21,14 @@ from pathlib import Path
 
 from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 from coulombus.recording.folders import INDEX, PACKED, files_of, runs
+from coulombus.system.stop_signals import SIGNALS
 
 __all__ = ["SegmentCompressor", "compress", "main"]
 
 LEVEL = 1
 MOST_WAITING_S = 2.0
 """Longest wait for the last segment at the recorder's end; a longer one is compressed afterwards."""
-ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+ENDING = tuple(number for number in SIGNALS if signal.Signals(number).name != "SIGQUIT")
 
 
 def compress(segment: Path) -> int | None:

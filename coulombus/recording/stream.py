@@ -17,9 +17,10 @@ from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
-from coulombus.wire.client import BusDown, BusFull, Client
-from coulombus.wire.frame_batches import BlockReader
+from coulombus.wire.client import BusDown, BusFull, OpenBus
+from coulombus.wire.frame_batches import block_reader
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["stream"]
@@ -56,7 +57,7 @@ def stream(
     """
     attachments = {"rig.toml": rig.effective().encode()}
     attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
-    with Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS)) as client:
+    with open_bus(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS)) as client:
         place, force = (STDOUT, True) if path == "-" else (path, force)
         try:
             with (
@@ -76,19 +77,16 @@ def stream(
     return frames
 
 
-def _copy(client: Client, writer: PcapngWriter, stop: StopSignals, end: float | None) -> None:
+def _copy(client: OpenBus, writer: PcapngWriter, stop: StopSignals, end: float | None) -> None:
     last_question_s = time.monotonic()
-    frames = BlockReader(client)
-    ends, poll = select.poll(), select.poll()
-    ends.register(stop, select.POLLIN)
-    poll.register(stop, select.POLLIN)
-    poll.register(client, select.POLLIN)
+    frames = block_reader(client)
+    both = stop.fileno(), client.fileno()
     while not stop.number:
         now = time.monotonic()
         if end is not None and now >= end:
             return
-        poll.poll(1e3 * min(ASK_S, ASK_S if end is None else end - now))
-        ends.poll(1e3 * COLLECT_S)
+        select.select(both, [], [], min(ASK_S, ASK_S if end is None else end - now))
+        select.select([stop], [], [], COLLECT_S)
         with suppress(BusDown, BusFull):
             if len(block := frames.receive()):
                 writer.write(block.records)

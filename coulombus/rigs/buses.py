@@ -6,19 +6,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from coulombus.rigs.rig import Rig, known_rigs, packaged_rig
 from coulombus.system.quoting import shell
-from coulombus.wire.address import AddressError, BusAddress, default_address, parse_address
+from coulombus.wire.address import AddressError, BusAddress, Kind, default_address, parse_address
 
 __all__ = ["bus_addresses", "one_bus"]
 
 
-def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = None) -> dict[str, BusAddress]:
-    """Return the address of each of the rig's buses, or of the bus `channel` only.
+def bus_addresses(
+    rig: Rig, given: Sequence[str] = (), channel: str | None = None, also: Collection[Kind] = ()
+) -> dict[str, BusAddress]:
+    """Return the address of each of the rig's buses, or of the bus `channel` only; `also` as in `parse_address`.
 
     Raises
     ------
@@ -28,13 +30,13 @@ def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = Non
     if channel is not None and channel not in rig.channels:
         raise AddressError(f"--channel {channel}: the rig has {_names(rig)}")
     if channel is not None:
-        given = [text if "=" in text else f"{channel}={text}" for text in given]
-    addresses = _all_addresses(rig, given)
+        given = [text if _parted(text)[1] else f"{channel}={text}" for text in given]
+    addresses = _all_addresses(rig, given, also)
     return addresses if channel is None else {channel: addresses[channel]}
 
 
-def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusAddress]:
-    """Return the rig's part on one bus, and the address of that bus.
+def one_bus(rig: Rig, given: str | None, channel: str | None, also: Collection[Kind] = ()) -> tuple[Rig, BusAddress]:
+    """Return the rig's part on one bus, and the address of that bus; `also` as in `parse_address`.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusA
     """
     if channel is None and len(rig.channels) > 1:
         raise AddressError(f"the rig has {_names(rig)}; name one with --channel")
-    ((name, address),) = bus_addresses(rig, () if given is None else (given,), channel).items()
+    ((name, address),) = bus_addresses(rig, () if given is None else (given,), channel, also).items()
     return rig.on(name), address
 
 
@@ -52,12 +54,19 @@ def _names(rig: Rig) -> str:
     return f"the buses {', '.join(named)}" if named else "one bus, without a name"
 
 
-def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
+def _parted(text: str) -> tuple[str, str, str]:
+    """Return channel, "=" and address of ``CHANNEL=B``, or "", "" and ``B``; an adapter's options have a "=", too."""
+    before, colon, rest = text.partition(":")
+    channel, equals, kind = before.rpartition("=")
+    return channel, equals, kind + colon + rest
+
+
+def _all_addresses(rig: Rig, given: Sequence[str], also: Collection[Kind]) -> dict[str, BusAddress]:
     name, channels = default_address(rig.name).name, rig.channels
     several = len(channels) > 1
     addresses: dict[str, BusAddress] = {}
     for text in given:
-        channel, equals, address = text.rpartition("=")
+        channel, equals, address = _parted(text)
         if several and not equals:
             raise AddressError(f"--bus {text}: the rig has {_names(rig)}; say which: {channels[0]}={text}")
         if channel not in channels and (equals or several):
@@ -65,7 +74,7 @@ def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
         channel = channel if several else channels[0]
         if channel in addresses:
             raise AddressError(f"--bus {text}: there is an address for this bus already, {addresses[channel]}")
-        addresses[channel] = parse_address(address)
+        addresses[channel] = parse_address(address, also)
     usual = {channel: BusAddress("coulombus", f"{name}.{channel}" if several else name) for channel in channels}
     addresses = usual | addresses
     if len(set(addresses.values())) < len(addresses):

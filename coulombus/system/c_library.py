@@ -16,7 +16,10 @@ class NeedsLinux(CoulombusError, ImportError):
     exit_status = 4
 
     def __init__(self, absent: str) -> None:
-        super().__init__(f"this needs Linux (there is no {absent} here); what needs no live bus works everywhere")
+        super().__init__(
+            f"this needs Linux (there is no {absent} here); what needs no live bus works everywhere, "
+            "and so does an adapter of python-can, --bus can:INTERFACE:CHANNEL"
+        )
 
 
 def c_library() -> Any:

@@ -6,8 +6,6 @@ import os
 import select
 import signal
 import sys
-import termios
-import tty
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -15,14 +13,24 @@ from typing import Any, Self
 
 from coulombus.system.watch_thread import Lookout
 
+try:
+    import termios
+    import tty
+except ModuleNotFoundError:  # Windows: no terminal is read
+    HAS_KEYS = False
+else:
+    HAS_KEYS = True
+
 __all__ = ["Keys", "in_foreground"]
 
-FROM_BEHIND = {signal.SIGTTIN, signal.SIGTTOU}
+FROM_BEHIND = {getattr(signal, name) for name in ("SIGTTIN", "SIGTTOU") if hasattr(signal, name)}
 """Signals that would stop a background process as soon as it reads a key."""
 
 
 def in_foreground() -> bool:
-    """Tell whether the standard input is a terminal of which this process is in the foreground."""
+    """Tell whether the standard input is a terminal of which this process is in the foreground, and has keys."""
+    if not HAS_KEYS:
+        return False
     try:
         return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (OSError, ValueError):

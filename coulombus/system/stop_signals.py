@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+import socket
 import sys
 import threading
 import time
@@ -23,6 +24,7 @@ from typing import Any, NoReturn, Self, TypeAlias
 
 __all__ = [
     "SIGNALS",
+    "TIMER",
     "Signals",
     "StopSignals",
     "Stopped",
@@ -37,7 +39,11 @@ __all__ = [
     "told",
 ]
 
-SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+SIGNALS: tuple[int, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
+)  # Windows has the first two
+TIMER: tuple[int, ...] = (signal.SIGALRM,) if hasattr(signal, "setitimer") else ()
+"""Brings back a signal that Python has lost; Windows has none."""
 AGAIN_S = 1.0
 """When a terminal is closed, both the shell and the kernel send SIGHUP: signals that follow
 the first one within this time count as the same request.
@@ -84,7 +90,7 @@ def taken(handler: Handler) -> Iterator[None]:
     before: dict[int, Any] = {}
     try:
         for number in SIGNALS:
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            if signal.Signals(number).name != "SIGHUP" or signal.getsignal(number) is not signal.SIG_IGN:
                 before[number] = signal.signal(number, handler)
         yield
     finally:
@@ -175,7 +181,7 @@ def as_exceptions() -> Iterator[None]:
             raise last
 
     def lost(unraisable: Any) -> None:
-        if unraisable.exc_value is last:
+        if unraisable.exc_value is last and TIMER:
             signal.setitimer(signal.ITIMER_REAL, SOON_S)
         else:
             hook(unraisable)
@@ -186,10 +192,12 @@ def as_exceptions() -> Iterator[None]:
         for number in SIGNALS:
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, _at_once):
                 before[number] = signal.signal(number, stop)
-        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
+        for number in TIMER:
+            before[number] = signal.signal(number, again)
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        if TIMER:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -251,20 +259,22 @@ class StopSignals(_First):
     """Records the signals while it is entered, and has a descriptor that becomes readable."""
 
     def __enter__(self) -> Self:
-        self._reading, self._writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._reading, self._writing = socket.socketpair()  # Windows can select no pipe
+        self._reading.setblocking(False)
+        self._writing.setblocking(False)
         return super().__enter__()
 
     def __exit__(self, *_: object) -> None:
         super().__exit__()
-        os.close(self._reading)
-        os.close(self._writing)
+        self._reading.close()
+        self._writing.close()
 
     def _came(self) -> None:
-        os.write(self._writing, b"x")
+        self._writing.send(b"x")
 
     def fileno(self) -> int:
         """Return the descriptor that is readable from the first signal on."""
-        return self._reading
+        return self._reading.fileno()
 
     def wait(self, seconds: float) -> bool:
         """Sleep for `seconds`, or until a signal; tell whether a signal has come."""

@@ -1,4 +1,5 @@
-"""Name of a bus: ``coulombus:bench`` is a virtual bus of this project, ``socketcan:can0`` a Linux interface.
+"""Name of a bus: ``coulombus:bench`` is a virtual bus of this project, ``socketcan:can0`` a Linux interface,
+``can:slcan:/dev/ttyACM0`` an adapter of python-can, and ``socketcand:127.0.0.1:29536`` a server for others.
 
 A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
 the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
@@ -12,6 +13,7 @@ import os
 import re
 import socket
 import tempfile
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
@@ -22,6 +24,8 @@ from coulombus.system.quoting import INTERFACE
 
 __all__ = [
     "HOST_SUFFIX",
+    "LOOPBACK",
+    "WITH_ADAPTERS",
     "WORLD_SUFFIX",
     "AddressError",
     "BusAddress",
@@ -29,14 +33,20 @@ __all__ = [
     "bus_names",
     "default_address",
     "live_bus_names",
+    "option_of",
     "parse_address",
     "socket_names",
     "socket_path",
 ]
 
-Kind: TypeAlias = Literal["coulombus", "socketcan"]
+Kind: TypeAlias = Literal["coulombus", "socketcan", "can", "socketcand"]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_ADAPTER = re.compile(r"([A-Za-z0-9_-]+)(?::([^?]*))?(?:\?(.*))?")  # INTERFACE[:CHANNEL][?K=V&K=V]
+_SERVER = re.compile(r"(?:(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):)?([0-9]{1,5})")  # [HOST:]PORT
+LOOPBACK = "127.0.0.1"
+WITH_ADAPTERS: tuple[Kind, ...] = ("can",)
+"""What a verb takes besides, for which no latency counts."""
 _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
 HOST_SUFFIX = ".host"  # the control socket of the host on bus NAME is NAME.host
 WORLD_SUFFIX = ".world"  # the socket of the host on bus NAME for a world outside is NAME.world
@@ -61,13 +71,14 @@ class BusUnavailable(CoulombusError, OSError):
 class BusAddress:
     """Address of a bus: its kind and its name. ``str()`` is the form that `parse_address` reads.
 
-    `start` is the command that serves the bus with the expected rig, if known; it is not part of the
-    bus's identity.
+    `start` is the command that serves the bus with the expected rig, if known, and `options` are those of
+    an adapter, as python-can names them; neither is part of the bus's identity.
     """
 
     kind: Kind
     name: str
     start: str = field(default="", compare=False)
+    options: tuple[tuple[str, str], ...] = field(default=(), compare=False)
 
     def __str__(self) -> str:
         return f"{self.kind}:{self.name}"
@@ -87,6 +98,16 @@ class BusAddress:
         return self.kind == "socketcan"
 
     @property
+    def is_adapter(self) -> bool:
+        """Whether python-can reaches the bus; `name` is then its INTERFACE, or INTERFACE:CHANNEL."""
+        return self.kind == "can"
+
+    @property
+    def is_server(self) -> bool:
+        """Whether the bus is that of other programs, which connect to the port HOST:PORT, `name`."""
+        return self.kind == "socketcand"
+
+    @property
     def moves_hardware(self) -> bool:
         """Whether a frame may move a real motor: then a key, a dead man's switch and rehearsal marks are
         required.
@@ -100,7 +121,7 @@ class BusAddress:
 
     @property
     def stamps(self) -> str:
-        """Meaning of the time stamp of a received frame."""
+        """Meaning of the time stamp of a frame received from a socket."""
         what = "the virtual bus sent the message" if self.is_virtual else "the kernel took the frame"
         return f"SO_TIMESTAMPNS: when {what}"
 
@@ -114,8 +135,13 @@ def default_address(rig_name: str) -> BusAddress:
     return BusAddress("coulombus", name)
 
 
-def parse_address(text: str) -> BusAddress:
+def parse_address(text: str, also: Collection[Kind] = ()) -> BusAddress:
     """Return the address that `text` names.
+
+    Parameters
+    ----------
+    also : kinds that the caller can do with, besides the two that have a known latency: "can", an adapter
+        of python-can, and "socketcand", a server at a port of this machine
 
     Raises
     ------
@@ -126,14 +152,19 @@ def parse_address(text: str) -> BusAddress:
     if kind not in get_args(Kind) or not colon:
         bare = text if not colon and _NAME.fullmatch(text) else name or "bench"
         if colon and kind not in get_args(Kind):
+            near = f"; another adapter is can:{text}" if "can" in also else ""
             raise AddressError(
                 f"bus {text!r}: unknown kind of bus {kind!r}; expected coulombus:NAME for a virtual bus or "
-                "socketcan:IF for a CAN interface of Linux, as in socketcan:can0, which the card's driver makes"
+                f"socketcan:IF for a CAN interface of Linux, as in socketcan:can0, which the card's driver makes{near}"
             )
         raise AddressError(
             f"bus {text!r}: expected KIND:NAME; write coulombus:{bare} for a virtual bus or socketcan:{bare} for a "
             "SocketCAN interface"
         )
+    if kind == "can":
+        return _adapter(text, name, allowed="can" in also)
+    if kind == "socketcand":
+        return _server(text, name, allowed="socketcand" in also)
     if kind == "socketcan":
         if not INTERFACE.fullmatch(name):
             raise AddressError(
@@ -147,6 +178,46 @@ def parse_address(text: str) -> BusAddress:
         if name.endswith(suffix):
             raise AddressError(f"bus {text!r}: names that end in {suffix} are kept for the host's control socket")
     return BusAddress("coulombus", name)
+
+
+def _adapter(text: str, name: str, *, allowed: bool) -> BusAddress:
+    """Return the address of an adapter: ``INTERFACE:CHANNEL``, perhaps with ``?KEY=VALUE&KEY=VALUE``."""
+    if not allowed:
+        raise AddressError(
+            f"bus {text!r}: an adapter of python-can is for services and for listening; a control cycle of 1 ms needs "
+            "a bus of known latency: coulombus:NAME, or socketcan:IF, which Linux's drivers make of most adapters"
+        )
+    match = _ADAPTER.fullmatch(name)
+    if match is None:
+        raise AddressError(
+            f"bus {text!r}: expected can:INTERFACE:CHANNEL, as in can:slcan:/dev/ttyACM0 or can:pcan:PCAN_USBBUS1; "
+            "INTERFACE is a name of python-can"
+        )
+    interface, channel, rest = match.groups()
+    options = tuple(option_of(pair) for pair in (rest or "").split("&") if pair)
+    return BusAddress("can", f"{interface}:{channel}" if channel else interface, options=options)
+
+
+def option_of(pair: str) -> tuple[str, str]:
+    """Return the option of an adapter that ``KEY=VALUE`` names; AddressError if it is none."""
+    key, equals, value = pair.partition("=")
+    if not equals or not key.isidentifier() or "&" in value:
+        raise AddressError(f"adapter option {pair!r}: expected KEY=VALUE without '&', as in bitrate=500000")
+    return key, value
+
+
+def _server(text: str, name: str, *, allowed: bool) -> BusAddress:
+    """Return the address of a server: ``HOST:PORT``, or ``PORT`` of the loopback."""
+    if not allowed:
+        raise AddressError(
+            f"bus {text!r}: a server of this machine for others' programs is an end of a bridge: "
+            f"coulombus bridge coulombus:bench {text}; a server elsewhere is reached by "
+            f"can:socketcand:CHANNEL --bus-option host=HOST --bus-option port=PORT"
+        )
+    match = _SERVER.fullmatch(name)
+    if match is None or int(match[2]) > 0xFFFF:
+        raise AddressError(f"bus {text!r}: expected socketcand:HOST:PORT, as in socketcand:{LOOPBACK}:29536")
+    return BusAddress("socketcand", f"{match[1] or LOOPBACK}:{match[2]}")
 
 
 def _check_name(name: str) -> None:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress, BusUnavailable
-from coulombus.wire.client import BusFull, Client, pack_frame
+from coulombus.wire.client import BusFull, pack_frame
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["RTR", "BusFrame", "BusLink", "FrameLink"]
@@ -61,7 +62,7 @@ class FrameLink(Protocol):
 
 
 class BusLink:
-    """A link in real time to a virtual bus or to SocketCAN.
+    """A link in real time to a bus of any kind.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ class BusLink:
     """
 
     def __init__(self, address: BusAddress, filters: Sequence[tuple[int, int]] = ()) -> None:
-        self._client = Client(address, Hello(Flags.ERRORS, tuple(filters)))
+        self._client = open_bus(address, Hello(Flags.ERRORS, tuple(filters)))
         self.address = address
         self.error_frames, self.error_classes = 0, 0
         self._waiting: deque[BusFrame] = deque()
@@ -108,7 +109,7 @@ class BusLink:
 
     @property
     def bitrate_bit_s(self) -> int:
-        """Bit rate reported by a virtual bus; 0 on SocketCAN."""
+        """Bit rate of a virtual bus or of an adapter; 0: unknown, as on SocketCAN."""
         return self._client.bitrate_bit_s
 
     def now_ns(self) -> int:

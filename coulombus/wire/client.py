@@ -1,4 +1,4 @@
-"""Client of a bus of either kind: a non-blocking socket for messages of 16-byte ``struct can_frame``.
+"""Client of a bus, and its kind with a socket: non-blocking, for messages of 16-byte ``struct can_frame``.
 
 Imports neither numba nor python-can: a script or a viewer starts at once.
 """
@@ -10,14 +10,14 @@ import select
 import socket
 import struct
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Self, TypeAlias
 
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.ancillary import SO_RXQ_OVFL, SO_TIMESTAMPNS
 from coulombus.wire.controller_state import ControllerState
 from coulombus.wire.handshake import Answer, BusStatus, Flags, Hello, greet, is_greeting
 
-__all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
+__all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "OpenBus", "Received", "pack_frame"]
 
 CAN_FRAME = struct.Struct("=IB3x8s")
 """Identifier with EFF, RTR and ERR flags; length; data."""
@@ -68,18 +68,83 @@ def pack_frame(can_id: int, data: bytes = b"", length: int | None = None) -> byt
     return CAN_FRAME.pack(can_id, len(data) if length is None else length, data)
 
 
-class Client:
-    """Frames from and to a bus; only the constructor blocks, at most `timeout` seconds.
+class OpenBus:
+    """Frames from and to a bus, by whatever it is reached: what every reader and every service takes.
+
+    Attributes
+    ----------
+    bitrate_bit_s
+        As the bus reports it, or as an adapter was opened; 0: unknown.
+    lost
+        Number of frames that found no room in a receive queue on the way to this client.
+    malformed
+        Number of malformed messages and frames, which were dropped.
+    unanswered
+        Number of answers that the bus owes (`ask`).
+    """
+
+    def __init__(self, address: BusAddress, hello: Hello | None = None) -> None:
+        self.address = address
+        self.hello = hello or Hello()
+        self.bitrate_bit_s = self.lost = self.malformed = self.unanswered = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def stamps(self) -> str:
+        """Meaning of the time stamp of a received frame."""
+        return self.address.stamps
+
+    def fileno(self) -> int:
+        """Return the descriptor that is readable when `receive` has a message."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Leave the bus; may be called again."""
+        raise NotImplementedError
+
+    def wait(self, timeout: float | None) -> bool:
+        """Wait at most `timeout` seconds (None: for ever) until a message can be received."""
+        raise NotImplementedError
+
+    def receive(self) -> list[Received]:
+        """Return the frames of the next message; empty if there is no message, or if it was the bus's answer."""
+        raise NotImplementedError
+
+    def send(self, message: bytes, stamp_ns: int = 0) -> None:
+        """Send one message of frames (`pack_frame`): of one frame, unless ``address.packs_frames``.
+
+        `stamp_ns` is when another bus carried the frame [ns since 1970]; only a server passes it on.
+
+        Raises
+        ------
+        BusFull
+            Nothing was sent; try again later.
+        BusUnavailable
+            The bus is gone or down.
+        """
+        raise NotImplementedError
+
+    def ask(self, hello: Hello | None = None) -> None:
+        """Change flags and filters, or (without `hello`) only request the number of lost frames."""
+        raise NotImplementedError
+
+    def hold(self, held: bool) -> None:
+        """Let senders wait while held, where they can: a bus cannot, a server's clients can."""
+
+
+class Client(OpenBus):
+    """A virtual bus or a SocketCAN interface, by its socket; only the constructor blocks, at most
+    `timeout` seconds.
 
     Attributes
     ----------
     bitrate_bit_s, station
         As reported by a virtual bus; 0 on SocketCAN, where the interface sets the bit rate.
-    lost
-        Number of frames that found no room in this client's receive queue. A virtual bus reports it
-        in each answer (`ask`).
-    malformed
-        Number of malformed messages and frames, which were dropped.
     controller
         This client's CAN controller, as of the bus's last answer; None if the bus does not report it.
 
@@ -90,10 +155,8 @@ class Client:
     """
 
     def __init__(self, address: BusAddress, hello: Hello | None = None, timeout: float = 2.0) -> None:
-        self.address = address
-        self.hello = hello or Hello()
-        self.bitrate_bit_s = self.station = self.lost = self.malformed = 0
-        self.unanswered = 0
+        super().__init__(address, hello)
+        self.station = 0
         self.controller: ControllerState | None = None
         self._buffer = bytearray(MESSAGE_BYTES)
         if address.kind == "coulombus":
@@ -112,12 +175,6 @@ class Client:
     def close(self) -> None:
         """Leave the bus; may be called again."""
         self.socket.close()
-
-    def __enter__(self) -> Client:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def wait(self, timeout: float | None) -> bool:
         """Wait at most `timeout` seconds (None: for ever) until a message can be received."""
@@ -156,16 +213,8 @@ class Client:
             return good
         return frames
 
-    def send(self, message: bytes) -> None:
-        """Send one message of frames (`pack_frame`); on SocketCAN, of one frame.
-
-        Raises
-        ------
-        BusFull
-            Nothing was sent; try again later.
-        BusUnavailable
-            The bus is gone or down.
-        """
+    def send(self, message: bytes, stamp_ns: int = 0) -> None:
+        """Send a message at once, or raise."""
         try:
             self.socket.send(message)
         except (BlockingIOError, InterruptedError):

@@ -1,7 +1,7 @@
 """Batches of frames as arrays, for readers that poll a bus a few times a second.
 
 `BlockReader` empties a client's socket with recvmmsg(2): one system call for up to `MESSAGES`
-messages, and no Python object per frame.
+messages, and no Python object per frame. An adapter of python-can has its frames as objects already.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from coulombus.system.c_library import c_library
 from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
-from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, Received
+from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, OpenBus, Received
 from coulombus.wire.frame import LENGTH_MASKS, Frame, Records, new_records
 
-__all__ = ["Block", "BlockReader"]
+__all__ = ["Block", "BlockReader", "ObjectReader", "block_reader"]
 
 Integers: TypeAlias = npt.NDArray[np.int64]
 
@@ -120,6 +120,22 @@ class Block:
         """Return rows as single received frames."""
         columns = zip(self.t_ns[rows], self.can_ids[rows], self.lengths[rows], self.words[rows], strict=True)
         return [(int(t), int(can_id), int(length), word.tobytes()) for t, can_id, length, word in columns]
+
+
+def block_reader(bus: OpenBus) -> BlockReader | ObjectReader:
+    """Return the reader of an open bus."""
+    return BlockReader(bus) if isinstance(bus, Client) else ObjectReader(bus)
+
+
+class ObjectReader:
+    """Receives from a bus without a socket; raises as `OpenBus.receive`."""
+
+    def __init__(self, bus: OpenBus) -> None:
+        self._bus = bus
+
+    def receive(self) -> Block:
+        """Return the frames of all pending messages; empty if there is no message."""
+        return Block.of(self._bus.receive())
 
 
 class BlockReader:

@@ -10,6 +10,7 @@ from typing import Any
 
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.changes import Changes
+from coulombus.host.run.last_word import wall_time
 from coulombus.host.run.markers import marker_of
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.run_sequence import Course
@@ -49,6 +50,7 @@ class Answers:
             "utc": utc(time.time_ns()),
             "display_s": None if enabled is None else (run.now_ns - enabled) * 1e-9,
             "trip": run.trip,
+            "tripped": wall_time(run.k.trip_ns),
             **plane_state(self._plane, rig.bus.period_ns),
             "recording": None if run.path is None else str(run.path),
             "meta": self._meta,

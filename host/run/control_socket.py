@@ -103,8 +103,8 @@ def _probe(path: Path) -> bool | None:
 
 
 def host_runs(address: BusAddress) -> bool:
-    """Return whether a host of this machine has the bus; sends it no request."""
-    return _probe(control_path(address)) is True
+    """Return whether a host of this machine has the bus; sends it no request. No host runs on an adapter of python-can."""
+    return not address.is_adapter and _probe(control_path(address)) is True
 
 
 def hosts_here() -> list[BusAddress]:

@@ -1,7 +1,8 @@
-"""Final report of a host: mode, cycles, time and reason of its end.
+"""Final report of a host: mode, cycles, time and reason of its end; and the page that was open at a trip.
 
 The report is a file in the folder of the host's socket. Observers read it after the host's end, until
-the next host begins. A killed host leaves no report. The ten newest reports stay.
+the next host begins. A killed host leaves no report. The page's server keeps its last page beside it.
+The ten newest reports stay.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from coulombus.host.run.control_socket import address_of, control_path
 from coulombus.recording.wall_clock import utc
 from coulombus.wire.address import HOST_SUFFIX, BusAddress
 
-__all__ = ["ending", "forget_word", "last_word", "leave_word", "newest_word", "wall_time"]
+__all__ = ["ending", "forget_word", "keep_page", "last_page", "last_word", "leave_word", "newest_word", "wall_time"]
 
-SUFFIX = ".last"
-MOST_BYTES = 1 << 16
+SUFFIX, PAGE_SUFFIX = ".last", ".last-page"
+MOST_BYTES, MOST_PAGE_BYTES = 1 << 16, 1 << 24
 KEPT = 10
 """Number of newest reports that stay."""
 KINDS = {
@@ -43,25 +44,51 @@ def _path(address: BusAddress) -> Path:
     return host.with_name(host.name + SUFFIX)
 
 
-def leave_word(addresses: Iterable[BusAddress], outcome: Mapping[str, Any] | None) -> None:
+def leave_word(
+    addresses: Iterable[BusAddress], outcome: Mapping[str, Any] | None, recording: Path | None = None
+) -> None:
     """Write the report of a run for each of its buses, with the present time; does nothing for None. Never raises.
 
     Parameters
     ----------
     outcome : the entries of `KINDS` except ``ended``
+    recording : its path, the entry ``recording``
     """
     if outcome is None:
         return
     for address in addresses:
         with suppress(Exception):  # an error here must not change the run's result
-            path = _path(address)
-            new = path.with_name(f"{path.name}.{os.getpid()}")
-            try:
-                new.write_text(json.dumps({**outcome, "ended": utc(time.time_ns())}), encoding="utf-8")
-                new.replace(path)
-            finally:
-                new.unlink(missing_ok=True)
+            path, file = _path(address), None if recording is None else str(recording.absolute())
+            _write(path, json.dumps({**outcome, "recording": file, "ended": utc(time.time_ns())}).encode())
             _remove_old(path.parent)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that readers see whole or not at all."""
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        new.write_bytes(content)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def keep_page(address: BusAddress, content: bytes) -> None:
+    """Keep the page of a host that tripped, until the next host begins.
+
+    Raises
+    ------
+    OSError
+        the file cannot be written
+    """
+    _write(_path(address).with_suffix(PAGE_SUFFIX), content)
+
+
+def last_page(address: BusAddress) -> bytes | None:
+    """Return the kept page of the last host on a bus; None if no page was open at its trip."""
+    with suppress(OSError), _path(address).with_suffix(PAGE_SUFFIX).open("rb") as file:
+        return file.read(MOST_PAGE_BYTES)
+    return None
 
 
 def wall_time(monotonic_ns: int) -> str | None:
@@ -74,6 +101,7 @@ def _remove_old(folder: Path) -> None:
     reports = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
     for report in reports[KEPT:]:
         report.unlink(missing_ok=True)
+        report.with_suffix(PAGE_SUFFIX).unlink(missing_ok=True)
 
 
 def forget_word(addresses: Iterable[BusAddress]) -> None:
@@ -81,6 +109,7 @@ def forget_word(addresses: Iterable[BusAddress]) -> None:
     for address in addresses:
         with suppress(Exception):
             _path(address).unlink(missing_ok=True)
+            _path(address).with_suffix(PAGE_SUFFIX).unlink(missing_ok=True)
 
 
 def last_word(address: BusAddress) -> dict[str, Any] | None:

@@ -93,7 +93,7 @@ class RealCourse(Course):
             self.door = HostSocket(*addresses)
             self._stack.callback(lambda: self.door.close(self._outcome))
             forget_word(addresses)
-            self._stack.callback(lambda: leave_word(addresses, self._outcome))
+            self._stack.callback(lambda: leave_word(addresses, self._outcome, self.path))
             self.plane = DataPlane(self.k, *addresses, cpu=cpu)
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
@@ -261,16 +261,16 @@ class RealCourse(Course):
         while failures < FAILURES:
             try:
                 self.plane.stop()
-                now = self.now_ns
-                deadline = deadline or now + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
-                if self.plane.status is PlaneStatus.LOST or self.k.done or now >= deadline or not self._supervise():
+                self._attempt(self.door.stop_wanted, OSError)  # a page shows the trip while the brake is ramped off
+                deadline = deadline or self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
+                over = self.plane.status is PlaneStatus.LOST or self.k.done or self.now_ns >= deadline
+                if over or not self._supervise():
                     break
             except Exception as error:
                 failures += 1
                 self._fail(error)
-        self._attempt(self._supervise)
-        self._attempt(self._never_cycled)
-        self._attempt(self.mark_end)
+        for last in (self._supervise, self._never_cycled, self.mark_end):
+            self._attempt(last)
 
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
         """Advance the run by one supervision step.

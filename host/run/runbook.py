@@ -42,9 +42,9 @@ def advice(text: str) -> str | None:
 
 
 def entry(text: str) -> str | None:
-    """Return the runbook's section for a trip's text, as one line; None if it names no trip."""
+    """Return the runbook's section for a trip's text, a paragraph or a step in a line; None if it names no trip."""
     name = _named_trip(text)
-    return None if name is None else " ".join(_sections()[name.lower()].split())
+    return None if name is None else _sections()[name.lower()]
 
 
 def explained(name: str) -> str | None:

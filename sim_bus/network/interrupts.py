@@ -12,7 +12,7 @@ import threading
 from types import FrameType, TracebackType
 from typing import Any
 
-from coulombus.system.stop_signals import SIGNALS
+from coulombus.system.stop_signals import SIGNALS, TIMER
 
 __all__ = ["InterruptsHeld"]
 
@@ -29,7 +29,7 @@ class InterruptsHeld:
 
     def __enter__(self) -> InterruptsHeld:
         if threading.current_thread() is threading.main_thread():
-            for number in (*SIGNALS, signal.SIGALRM):  # SIGALRM brings back a signal that Python has lost
+            for number in (*SIGNALS, *TIMER):
                 before = signal.getsignal(number)
                 if callable(before):
                     self._before[number] = before

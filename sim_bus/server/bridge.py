@@ -2,7 +2,8 @@
 
 No frame returns: a bus does not send a client its own frames, and the bridge is one client of each.
 Error frames are not forwarded: they belong to their own wire. The queues are bounded; frames
-without room are dropped and counted.
+without room are dropped and counted. An end may be a server for other programs
+(`sim_bus.server.socketcand_server`), whose clients wait instead.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
+from coulombus.sim_bus.server.socketcand_server import SocketcandServer
 from coulombus.system.errors import CoulombusError
 from coulombus.system.sd_notify import Notifier
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.can_flags import CAN_RTR_FLAG
-from coulombus.wire.client import CAN_FRAME, BusDown, BusFull, Client
+from coulombus.wire.client import CAN_FRAME, BusDown, BusFull, OpenBus
 from coulombus.wire.handshake import Hello
 from coulombus.wire.identifiers import Ranges
 
@@ -89,6 +92,8 @@ class Counts:
     """Times that the other bus was full, or down."""
     lost: int = 0
     """Frames that this bus dropped because the bridge did not read in time."""
+    malformed: int = 0
+    """What came from this bus and is no frame."""
 
 
 @dataclass
@@ -112,11 +117,11 @@ class Result:
 class _Way:
     """Direction from one client to another."""
 
-    def __init__(self, source: Client, sink: Client, between: Between, ranges: Ranges, room: int) -> None:
+    def __init__(self, source: OpenBus, sink: OpenBus, between: Between, ranges: Ranges, room: int) -> None:
         self.source, self.sink, self.between, self.ranges, self.room = source, sink, between, ranges, room
         self.counts = Counts()
         self.packed = MESSAGE_FRAMES if sink.address.packs_frames else 1
-        self._queue: list[tuple[int, int, Frame]] = []
+        self._queue: list[tuple[int, int, Frame, int]] = []
         self._number = 0
         self._again_ns = 0
 
@@ -127,7 +132,7 @@ class _Way:
             frames = self.source.receive()
         except BusDown:
             return
-        for _, can_id, length, data in frames:
+        for stamp_ns, can_id, length, data in frames:
             counts.received += 1
             bare = can_id & ~CAN_RTR_FLAG
             if self.ranges and not any(low <= bare <= high for low, high in self.ranges):
@@ -139,25 +144,27 @@ class _Way:
                 if len(self._queue) >= self.room:
                     counts.overflow += 1
                 else:
-                    heapq.heappush(self._queue, (now_ns + delay_ns, self._number, frame))
+                    heapq.heappush(self._queue, (now_ns + delay_ns, self._number, frame, stamp_ns + delay_ns))
             counts.dropped += self._number == before
-        counts.lost = self.source.lost
+        counts.lost, counts.malformed = self.source.lost, self.source.malformed
+        self.source.hold(len(self._queue) > self.room // 2)
 
     def give(self, now_ns: int) -> None:
         """Send the frames that are due."""
         queue, counts = self._queue, self.counts
         while queue and queue[0][0] <= now_ns and now_ns >= self._again_ns:
-            batch: list[tuple[int, int, Frame]] = []
+            batch: list[tuple[int, int, Frame, int]] = []
             while queue and queue[0][0] <= now_ns and len(batch) < self.packed:
                 batch.append(heapq.heappop(queue))
             try:
-                self.sink.send(b"".join(CAN_FRAME.pack(*frame) for _, _, frame in batch))
+                self.sink.send(b"".join(CAN_FRAME.pack(*frame) for _, _, frame, _ in batch), batch[0][3])
                 counts.forwarded += len(batch)
             except (BusFull, BusDown):
                 counts.refused += 1
                 for entry in batch:
                     heapq.heappush(queue, entry)
                 self._again_ns = now_ns + round(RETRY_S * 1e9)
+        self.source.hold(len(queue) > self.room // 2)
 
     @property
     def next_ns(self) -> int | None:
@@ -175,7 +182,8 @@ def bridge(
     one_way: bool = False,
     seconds: float | None = None,
     room: int = QUEUE_FRAMES,
-    ready: Callable[[], None] = lambda: None,
+    ready: Callable[[BusAddress, BusAddress], None] = lambda a, b: None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Result:
     """Connect two buses until a signal, or for `seconds`, or until one of them goes away.
 
@@ -185,7 +193,8 @@ def bridge(
     ranges : forwarded identifiers; empty: all
     one_way : from `a` to `b` only
     room : largest number of pending frames in each direction
-    ready : called when both buses are connected
+    ready : called with both addresses when the buses are connected
+    say : called with what a server reports of its clients
 
     Raises
     ------
@@ -195,13 +204,14 @@ def bridge(
     """
     if a == b:
         raise SameBus(f"both ends are {a}: a bridge joins two buses")
-    with Client(a, Hello()) as left, Client(b, Hello()) as right, StopSignals() as stop:
+    with _opened(a, say) as left, _opened(b, say) as right, StopSignals() as stop:
+        a, b = left.address, right.address
         ways = {f"{a} -> {b}": _Way(left, right, between or faults(), ranges, room)}
         if not one_way:
             ways[f"{b} -> {a}"] = _Way(right, left, back or faults(), ranges, room)
         result = Result({name: way.counts for name, way in ways.items()})
         notifier = Notifier()
-        ready()
+        ready(a, b)
         notifier.tell(READY=1, STATUS=f"{a} and {b} are joined")
         begin = time.monotonic()
         end = None if seconds is None else begin + seconds
@@ -215,8 +225,12 @@ def bridge(
         return result
 
 
+def _opened(address: BusAddress, say: Callable[[str], None]) -> OpenBus:
+    return SocketcandServer(address, say) if address.is_server else open_bus(address, Hello())
+
+
 def _serve(
-    ways: tuple[_Way, ...], clients: tuple[Client, ...], stop: StopSignals, end: float | None, notifier: Notifier
+    ways: tuple[_Way, ...], clients: tuple[OpenBus, ...], stop: StopSignals, end: float | None, notifier: Notifier
 ) -> None:
     poll = select.poll()
     poll.register(stop, select.POLLIN)

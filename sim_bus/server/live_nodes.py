@@ -273,7 +273,7 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
         rate = f"{server.bit_rate / 1e6:g} Mbit/s"
         if serves(server):
             text = f"nobody served bus {address}: it is served here, at {rate}; others may join"
-        elif server.joined and nodes.bit_rate not in (0, server.bit_rate):
+        elif server.joined and server.bit_rate and nodes.bit_rate not in (0, server.bit_rate):
             text = f"bus {address} runs at {rate}, as its server says, and not at {nodes.bit_rate / 1e6:g} Mbit/s"
         else:
             return

@@ -1,6 +1,7 @@
 """A world in real time as one process.
 
-It serves clients of a virtual bus, or joins a SocketCAN interface or another process's virtual bus.
+It serves clients of a virtual bus, or joins a SocketCAN interface, an adapter of python-can or another
+process's virtual bus.
 
 `BusServer` handles the exits of the compiled loop (`sim_bus.server.realtime_loop.serve`).
 `sim_bus.server.admission.Admission` handles the clients' sockets.
@@ -21,6 +22,7 @@ from typing import TypeVar
 
 from coulombus.kernels.decorator import Entry
 from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.server.adapter_socket import AdapterSocket
 from coulombus.sim_bus.server.admission import Admission
 from coulombus.sim_bus.server.clients import Need, SlotState
 from coulombus.sim_bus.server.precompile import warm_up
@@ -57,7 +59,7 @@ class BusServer:
     make_world : returns a world for a bit rate; a trial world, which compiles all kernels, is
         discarded
     bit_rate : of the virtual bus; 0: frames take no time
-    join : join the virtual bus of another process, if it exists
+    join : join the virtual bus of another process, if it exists, or an adapter
     beside : the bus continues while Python serves the nodes (`sim_bus.server.python_worker`)
 
     Raises
@@ -85,6 +87,7 @@ class BusServer:
         """Whether another process serves the bus."""
         # first the immediate refusals: the first compilation takes half a minute
         raws = [can_socket(address.name) for address in self.addresses if address.is_interface]
+        self._adapter = AdapterSocket(self.address) if self.address.is_adapter else None
         for address in self.addresses if not raws and not join else ():
             refuse_live(socket_path(address.name), address)
         self.bit_rate = 0 if raws else bit_rate
@@ -208,7 +211,8 @@ class BusServer:
             elif why == Need.CLOSED:
                 self._admission.part(int(pace["slot"][0]))
                 if self.joined:
-                    self.result.gone = f"bus {self.name} is gone: its process ended"
+                    ended = f"bus {self.name} is gone: its process ended"
+                    self.result.gone = ended if self._adapter is None else self._adapter.gone
                     break
             elif why == Serve.RECORD:
                 with self._worker.whole():
@@ -265,6 +269,8 @@ class BusServer:
                 left.callback(unlink_own, path, inode)
             self._inodes = {}
             left.callback(self._admission.close)
+            if self._adapter is not None:
+                left.callback(self._adapter.close)
 
     def keep_frames(self) -> None:
         """Pass every frame on the bus to the world's `on_frames`, in batches of some hundred frames or 0.1 s; to be
@@ -283,7 +289,11 @@ class BusServer:
     # the virtual bus
 
     def _join(self, address: BusAddress) -> bool:
-        """Join the bus of another process; return whether there is one."""
+        """Join the bus of another process, or an adapter; return whether there is one."""
+        if self._adapter is not None:
+            self.joined = True
+            self._admit_joined(self._adapter.socket.dup(), self._adapter.bitrate_bit_s)
+            return True
         path = socket_path(address.name)
         with locked(path.parent):
             if not path.exists():
@@ -294,11 +304,14 @@ class BusServer:
                 self.joined = True
         if self.joined:
             connection = greet(address, Hello())
-            self.bit_rate = connection.answer.bitrate_bit_s
-            self.world.bus["bit_rate"] = 0  # frames take their time there
-            connection.socket.setblocking(False)
-            self._admission.admit(0, connection.socket, SlotState.JOINED)
+            self._admit_joined(connection.socket, connection.answer.bitrate_bit_s)
         return self.joined
+
+    def _admit_joined(self, joined: socket.socket, bit_rate: int) -> None:
+        self.bit_rate = bit_rate
+        self.world.bus["bit_rate"] = 0  # frames take their time there
+        joined.setblocking(False)
+        self._admission.admit(0, joined, SlotState.JOINED)
 
     def _listener(self, address: BusAddress) -> socket.socket:
         path = socket_path(address.name)

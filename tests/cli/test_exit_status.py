@@ -424,7 +424,7 @@ def test_a_bridge_goes_on_whoever_reads_that_it_is_ready(monkeypatch):
     reached = []
 
     def join(a, b, *, ready, **options):
-        ready()
+        ready(a, b)
         reached.append("joined")
         return Result()
 

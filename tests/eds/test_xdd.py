@@ -15,11 +15,11 @@ from coulombus.conformance.tester.described_device import DescribedDevice
 from coulombus.eds import xdd, xml_elements
 from coulombus.eds.check import check
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DOMAIN, RECORD, VAR
+from coulombus.eds.convert import eds_text
 from coulombus.eds.dcf_text import configured, with_values
 from coulombus.eds.description import Object, Variable
 from coulombus.eds.eds_folder import read_folder
 from coulombus.eds.reader import EdsError, parse_eds, read_eds
-from coulombus.eds.xdd import eds_text
 from coulombus.system.errors import CoulombusError
 from places import CORPUS, EDS, beside
 from xdd_text import as_xdd, attributes, container, elements, number
@@ -308,7 +308,7 @@ NODE = '<NetworkManagement><deviceCommissioning nodeID="{}" actualBaudRate="{}" 
     [
         ("5", "250 Kbps", (5, 250_000)),
         ("0x0A", "1000", (10, 1_000_000)),
-        ("0", "125", (0, 0)),
+        ("0", "125", (0, 125_000)),
         ("3", "auto-baudRate", (3, 0)),
     ],
 )

@@ -168,6 +168,14 @@ def test_an_event_timer_beside_sync_is_healthy():
         assert log.explained().verdict == "ok"
 
 
+def test_a_timer_that_waits_for_the_burst_behind_sync_is_not_late():
+    log = machine(3, until=3000).cycles(60, 3000)
+    for cycle in range(1470):
+        after_ms = 1.95 if cycle < 60 else (0.07, 0.71)[cycle // 3 % 2]
+        log.add(60 + 2 * cycle + after_ms, 0x283, b"\1\2")
+    assert log.explained().verdict == "ok"
+
+
 def test_error_frames_with_which_a_silence_begins_are_its_cause():
     log = machine(3, 4, until=2000).cycles(60, 2000, (3, 4))
     for k in range(200):

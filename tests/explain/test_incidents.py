@@ -146,7 +146,7 @@ def test_a_setting_that_reads_back_otherwise_is_seen():
 def test_a_request_without_an_answer_is_a_missing_node_or_a_busy_one():
     absent = only(machine(3).ask(9, 500, "4000100000000000").explained())
     assert (absent.root.kind, absent.node, absent.status) == ("node_missing", 9, "unresolved")
-    busy = only(machine(3).ask(3, 500, "4000100000000000").explained())
+    busy = only(machine(3, until=9000).ask(3, 500, "4000100000000000").explained())
     assert (busy.root.kind, busy.node) == ("sdo_timeout", 3)
 
 

@@ -55,7 +55,7 @@ def read(monkeypatch):
             return answer
 
         client = SimpleNamespace(address=SimpleNamespace(packs_frames=False), ask=lambda: None)
-        monkeypatch.setattr(bus_reader, "BlockReader", lambda client: SimpleNamespace(receive=receive))
+        monkeypatch.setattr(bus_reader, "block_reader", lambda client: SimpleNamespace(receive=receive))
         view = View()
         reader = BusReader(client, view, threading.Lock(), batch_s=batch_s)
         reader.stop = Rounds(len(given))

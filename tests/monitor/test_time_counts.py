@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from coulombus.monitor import time_counts as module
 from coulombus.monitor.time_counts import TimeCounts
 from coulombus.monitor.timing import Stamps, timing
+from coulombus.recording.maps.known_bus import KnownBus
 
 PERCENTS = (50, 99, 100)
 times_of = st.lists(st.integers(-(10**12), 10**12) | st.integers(999_990, 1_000_010), min_size=1, max_size=200)
@@ -52,7 +53,7 @@ def test_the_timing_does_not_depend_on_the_stretches(parts):
     for rows in np.array_split(np.arange(3000), parts):
         stamps.take_all(t_ns[rows], can_ids[rows])
     syncs = t_ns[can_ids == 0x80]
-    for row in timing(None, stamps):
+    for row in timing(KnownBus("", (), ()), stamps):
         own = t_ns[can_ids == row.can_id]
         gaps = np.diff(own)
         assert (row.frames, row.period_ms) == (len(own), np.median(gaps) / 1e6)

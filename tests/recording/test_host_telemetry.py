@@ -25,6 +25,7 @@ from coulombus.recording.host_telemetry import (
     inside_pdos,
     of_axis,
 )
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.pictures.plot import traces_of
@@ -181,7 +182,7 @@ def test_the_bus_own_recording_has_no_second_interface(tmp_path):
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 def test_the_dissector_has_the_numbers_of_read(simulated, tmp_path):
     rig = load_rig("bench")
-    (tmp_path / "bench.lua").write_text(tool_files(rig)["bench.lua"])
+    (tmp_path / "bench.lua").write_text(tool_files(KnownBus.of_rig(rig))["bench.lua"])
     keys = ["host.phase", "host.gain", "host.law_brake", "host.x_stuck"]
     shown = ["-T", "fields", "-E", "separator=,", *(word for key in keys for word in ("-e", f"coulombus.{key}"))]
     command = ["tshark", "-X", f"lua_script:{tmp_path / 'bench.lua'}", "-r", os.fspath(simulated)]

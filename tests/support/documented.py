@@ -46,6 +46,7 @@ RULES = (
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
     (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` does it"),
     # hardware
+    (r"--bus can:", "needs an adapter: tests/cli/test_adapter_verbs.py runs such verbs without hardware"),
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
     # living buses and programs with a window
@@ -95,6 +96,16 @@ def commands_of(text: str) -> Iterator[str]:
             fenced = not fenced
         elif not fenced and line.startswith("    ") and FIRST.match(line.strip()):
             yield re.sub(r"\s+# .*$", "", line.strip())
+
+
+def plain_formulas(text: str) -> str:
+    r"""Return a page whose formulas between dollars are as programs print them: `$\sigma_2 \ge 0$` as sigma_2 >= 0."""
+
+    def plain(found: re.Match[str]) -> str:
+        latex = re.sub(r"\\operatorname\{(\w+)\}", r"\1", found[1]).replace(r"\ge", ">=")
+        return re.sub(r"\\(\w+)", r"\1", latex)
+
+    return re.sub(r"\$([^$\n]+)\$", plain, text)
 
 
 def strangers(text: str) -> Iterator[str]:

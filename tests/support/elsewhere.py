@@ -18,10 +18,10 @@ import tempfile
 
 MODULES = ("fcntl", "termios", "tty", "resource", "pwd", "grp")
 ATTRIBUTES = {
-    os: ("eventfd", "eventfd_read", "eventfd_write", "memfd_create", "timerfd_create", "sched_getaffinity"),
+    os: ("eventfd", "eventfd_read", "eventfd_write", "memfd_create", "timerfd_create", "sched_getaffinity", "pipe2"),
     socket: ("AF_CAN", "PF_CAN", "CAN_RAW", "SOCK_SEQPACKET", "SO_PEERCRED"),
-    select: ("epoll",),
-    signal: ("SIGTTIN", "SIGTTOU", "sigtimedwait"),
+    select: ("epoll", "poll"),
+    signal: ("SIGTTIN", "SIGTTOU", "sigtimedwait", "SIGHUP", "SIGQUIT", "SIGALRM", "setitimer"),
 }
 
 

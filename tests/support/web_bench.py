@@ -8,12 +8,15 @@ import threading
 from contextlib import asynccontextmanager
 from typing import Any
 
+from tornado.httpserver import HTTPServer
+
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
 from coulombus.host.run.law_curve import law_curve
 from coulombus.monitor.web.capture import LiveCapture
-from coulombus.monitor.web.page import Page
+from coulombus.monitor.web.last_page import LastPage
+from coulombus.monitor.web.page import Page, application
 from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.server import Server, listening
 from coulombus.rigs.rig import load_rig
@@ -70,7 +73,6 @@ class Door:
         self.door = HostDoor(
             status=self.status,
             stop=self.stop,
-            advice=lambda trip: f"coulombus help {trip.split(':')[0]}",
             change=self.change,
             mark=self.mark,
             curve=law_curve,
@@ -111,10 +113,10 @@ def page(rig: str = "bench", door: Door | None = None) -> Page:
 
 
 @asynccontextmanager
-async def served(page: Page, port: int = 0):
-    """Serve a page; yields its address."""
+async def served(page: Page | LastPage, port: int = 0):
+    """Serve a live page or a kept one; yields its address."""
     sockets = listening("127.0.0.1", port)
-    server = Server(page)
+    server = Server(page) if isinstance(page, Page) else HTTPServer(application(page))
     server.add_sockets(sockets)
     try:
         yield f"http://127.0.0.1:{sockets[0].getsockname()[1]}/{TOKEN}/"

@@ -32,12 +32,52 @@ def runtime(tmp_path, monkeypatch):
         ("coulombus:a.b-c_1", "coulombus", "a.b-c_1"),
         ("socketcan:vcan0", "socketcan", "vcan0"),
         ("socketcan:can-a.1_B", "socketcan", "can-a.1_B"),
+        ("can:slcan:/dev/ttyACM0@115200", "can", "slcan:/dev/ttyACM0@115200"),
+        ("can:gs_usb", "can", "gs_usb"),
+        ("can:socketcand:can0", "can", "socketcand:can0"),
+        ("socketcand:127.0.0.1:29536", "socketcand", "127.0.0.1:29536"),
+        ("socketcand:[::1]:29536", "socketcand", "[::1]:29536"),
     ],
 )
 def test_addresses(text, kind, name):
-    address = parse_address(text)
+    address = parse_address(text, ("can", "socketcand"))
     assert (address.kind, address.name) == (kind, name)
     assert str(address) == text
+
+
+def test_an_adapter_has_options_that_are_no_part_of_its_identity():
+    address = parse_address("can:slcan:/dev/ttyACM0?bitrate=500000&listen_only=True", ("can",))
+    assert address.options == (("bitrate", "500000"), ("listen_only", "True"))
+    assert str(address) == "can:slcan:/dev/ttyACM0"
+    assert address == parse_address("can:slcan:/dev/ttyACM0", ("can",))
+    assert address.is_adapter
+    assert address.moves_hardware
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("can:", "expected can:INTERFACE:CHANNEL"),
+        ("can::x", "expected can:INTERFACE:CHANNEL"),
+        ("can:slcan:x?bitrate", "'bitrate': expected KEY=VALUE"),
+        ("can:slcan:x?=5", "'=5': expected KEY=VALUE"),
+        ("socketcand:", "expected socketcand:HOST:PORT"),
+        ("socketcand:localhost", "expected socketcand:HOST:PORT"),
+        ("socketcand:127.0.0.1:65536", "expected socketcand:HOST:PORT"),
+        ("slcan:/dev/ttyACM0", "another adapter is can:slcan:/dev/ttyACM0"),
+    ],
+)
+def test_what_is_no_adapter_and_no_server(text, said):
+    with pytest.raises(AddressError, match=re.escape(said)) as error:
+        parse_address(text, ("can", "socketcand"))
+    assert error.value.exit_status == 2
+
+
+def test_who_needs_a_known_latency_takes_no_adapter_and_says_why():
+    with pytest.raises(AddressError, match="a control cycle of 1 ms needs a bus of known latency"):
+        parse_address("can:slcan:/dev/ttyACM0")
+    with pytest.raises(AddressError, match="coulombus bridge coulombus:bench socketcand:127"):
+        parse_address("socketcand:127.0.0.1:29536", ("can",))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +95,7 @@ def test_what_an_address_says_of_its_bus(text, virtual, interface, moves, packs,
 
 
 def test_outside_of_wire_nobody_compares_the_kind_of_a_bus():
-    compared = re.compile(r"""[!=]= ?"(coulombus|socketcan)"|\bin \(?"(coulombus|socketcan)\"""")
+    compared = re.compile(r"""[!=]= ?"(coulombus|socketcand?)"|\bin \(?"(coulombus|socketcand?)\"""")
     for top in ("coulombus", "eds", "host", "node", "sim_bus"):
         for path in sorted((ROOT / top).rglob("*.py")):
             if path.parent != ROOT / "coulombus" / "wire":

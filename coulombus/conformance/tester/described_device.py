@@ -8,9 +8,9 @@ from functools import cached_property
 
 from coulombus.conformance.tester.verdict import NotApplicable, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId
+from coulombus.eds.convert import eds_text
 from coulombus.eds.data import READ_ONLY
 from coulombus.eds.reader import Description, Value, Variable
-from coulombus.eds.xdd import eds_text
 
 __all__ = ["DescribedDevice", "is_signed"]
 

@@ -1,4 +1,4 @@
-"""Layouts of PlotJuggler and Foxglove: a plot for each unit, with the rig's signals by name.
+"""Layouts of PlotJuggler and Foxglove: a plot for each unit, with the signals by name.
 
 PlotJuggler uses the names of `coulombus.read`, which are the columns of a CSV or Parquet export.
 Foxglove uses an MCAP export: a topic per PDO, with messages nested by the names' dots.
@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from coulombus.eds.cia402 import word_fields
 from coulombus.monitor.names import signals
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.system.quoting import xml
 
@@ -21,21 +21,21 @@ __all__ = ["foxglove", "plotjuggler"]
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf")
 
 
-def _by_unit(rig: Rig) -> dict[str, list[tuple[RigPdo, Signal]]]:
+def _by_unit(bus: KnownBus) -> dict[str, list[tuple[RigPdo, Signal]]]:
     """Return the plotted signals by unit; bit fields follow the quantities."""
     groups: dict[str, list[tuple[RigPdo, Signal]]] = {}
-    for pdo, signal in sorted(signals(rig), key=lambda pair: bool(word_fields(pair[1].index))):
+    for pdo, signal in sorted(signals(bus.pdos), key=lambda pair: bool(word_fields(pair[1].index))):
         groups.setdefault(signal.unit, []).append((pdo, signal))
     return groups
 
 
-def plotjuggler(rig: Rig) -> str:
+def plotjuggler(bus: KnownBus) -> str:
     """Return a PlotJuggler layout (version 2.3, as PlotJuggler 3 writes it)."""
     root = ElementTree.Element("root")
     widget = ElementTree.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    tab = ElementTree.SubElement(widget, "Tab", containers="1", tab_name=xml(rig.name))
+    tab = ElementTree.SubElement(widget, "Tab", containers="1", tab_name=xml(bus.name))
     container = ElementTree.SubElement(tab, "Container")
-    groups = _by_unit(rig)
+    groups = _by_unit(bus)
     sizes = ";".join(f"{1 / len(groups):.6f}" for _ in groups)
     splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", sizes=sizes, count=str(len(groups)))
     for unit, group in groups.items():
@@ -49,12 +49,12 @@ def plotjuggler(rig: Rig) -> str:
     return "<?xml version='1.0' encoding='UTF-8'?>\n" + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def foxglove(rig: Rig) -> str:
+def foxglove(bus: KnownBus) -> str:
     """Return a Foxglove layout: the plots above each other, and the markers' log beside them."""
     panels: dict[str, Any] = {}
-    for number, (unit, group) in enumerate(_by_unit(rig).items()):
+    for number, (unit, group) in enumerate(_by_unit(bus).items()):
         panels[f"Plot!coulombus{number}"] = {
-            "title": f"{rig.name} [{unit or '1'}]",
+            "title": f"{bus.name} [{unit or '1'}]",
             "paths": [
                 {
                     "value": f"/{pdo.node}/{pdo.name}.{signal.name}",

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from coulombus.monitor.dbc import database
+from coulombus.monitor.names import plain, signals
 from coulombus.monitor.tools.layouts import foxglove, plotjuggler
 from coulombus.monitor.tools.wireshark import dissector, profile
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.wire.address import default_address
 
 __all__ = ["tool_files"]
 
-RECIPES = """# The rig {rig} in other tools
+RECIPES = """# {title} in other tools
 
-Written by `coulombus tools` from the rig file; write it anew when the rig file has changed. A
-signal is called as in `coulombus.read`, in SI units.
+Written by `coulombus tools` from {source}; write it anew when that has changed. A signal is called
+as in `coulombus.read`{units}.
 
 | file | for |
 |---|---|
@@ -62,21 +63,28 @@ Decode As > CAN next level dissector.
     coulombus export run.pcapng --to mcap -o run.mcap     # Foxglove: open it, import the layout
 """
 
+OF_RIG = {"source": "the rig file", "units": ", in SI units"}
+OF_EDS = {"title": "Devices of EDS files", "source": "the EDS files", "units": ", with raw values"}
+"""The words of `RECIPES` that depend on the source."""
 
-def tool_files(rig: Rig) -> dict[str, str]:
+
+def tool_files(bus: KnownBus) -> dict[str, str]:
     """Return the text of each file by its path within the folder."""
-    split = database(rig, bits=True)
-    example = next((f"coulombus.{a.prefix}motor.position" for a in rig.axes), "coulombus.motor.position")
-    name = default_address(rig.name).name  # valid as a file's name on any system and in the commands of README.md
+    split = database(bus, bits=True)
+    filters = [f"coulombus.{plain(signal)}" for _, signal in signals(bus.pdos)]
+    example = next((text for text in filters if text.endswith("motor.position")), (filters or ["coulombus.node"])[0])
+    name = default_address(bus.name).name  # valid as a file's name on any system and in the commands of README.md
     files = {
-        f"{name}.dbc": database(rig).as_dbc_string(),
+        f"{name}.dbc": database(bus).as_dbc_string(),
         f"{name}-bits.dbc": split.as_dbc_string(),
         f"{name}.kcd": split.as_kcd_string(),
         f"{name}.sym": split.as_sym_string(),
-        f"{name}.lua": dissector(rig),
-        f"{name}-plotjuggler.xml": plotjuggler(rig),
-        f"{name}-foxglove.json": foxglove(rig),
-        "README.md": RECIPES.format(rig=name, example=example),
+        f"{name}.lua": dissector(bus),
+        f"{name}-plotjuggler.xml": plotjuggler(bus),
+        f"{name}-foxglove.json": foxglove(bus),
+        "README.md": RECIPES.format(
+            rig=name, example=example, **(OF_EDS if bus.host is None else OF_RIG | {"title": f"The rig {name}"})
+        ),
     }
-    files |= {f"wireshark/{name}/{part}": text for part, text in profile(rig).items()}
+    files |= {f"wireshark/{name}/{part}": text for part, text in profile(bus).items()}
     return {path: text.replace("\r\n", "\n") for path, text in files.items()}

@@ -14,8 +14,7 @@ from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
 from coulombus.eds.cia402 import word_fields
 from coulombus.monitor.names import fields, plain, signals
 from coulombus.monitor.services import STATES
-from coulombus.recording.host_telemetry import inside_pdos
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.quoting import lua, uat_cell
 
@@ -35,8 +34,6 @@ COLOURS = (
 LINES = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 TOLD = "told"
 """Name of telemetry frames, which were on no bus (`recording.host_telemetry`)."""
-NO_STATE = b"[]"
-"""Empty names of a law's state: the recording has them, not the rig."""
 CAN_EFF_MASK = 0x1FFFFFFF
 BUTTONS = (
     ("The bus alone", 'frame.interface_name != "coulombus-host"'),
@@ -46,20 +43,20 @@ BUTTONS = (
 )
 
 
-def dissector(rig: Rig) -> str:
+def dissector(bus: KnownBus) -> str:
     """Return the dissector's source: load it by ``-X lua_script:F.lua``, or from the plug-in
     folder.
     """
-    nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+    nodes = bus.names
     services = {int(CobId.NMT): ("nmt", ""), int(CobId.SYNC): ("sync", "")}
     services |= {CobId.HEARTBEAT + number: ("heartbeat", name) for number, name in nodes.items()}
-    services |= {node.emcy_id: ("emcy", node.name) for node in rig.nodes}
+    services |= {node.emcy_id: ("emcy", node.name) for node in bus.nodes if node.emcy_id}
     rows = (
         f"    [{can_id:#05x}] = {{name = {lua(name)}{', node = ' + lua(node) if node else ''}}},"
         for can_id, (name, node) in sorted(services.items())
     )
     lines = (
-        f"local RIG = {lua(rig.name)}",
+        f"local RIG = {lua(bus.name)}",
         f"local NODES = {_table(nodes)}",
         f"local EMCY = {_table({int(code): text for code, text in EMCY_TEXT.items()})}",
         f"local STATES = {_table(STATES)}",
@@ -68,8 +65,8 @@ def dissector(rig: Rig) -> str:
         *rows,
         "}",
         "local PDOS = {",
-        *(_pdo(pdo, pdo.name) for pdo in rig.pdos()),
-        *(_pdo(pdo, f"{TOLD} {pdo.layout.number}") for pdo in inside_pdos(rig, NO_STATE)),
+        *(_pdo(pdo, pdo.name) for pdo in bus.pdos),
+        *(_pdo(pdo, f"{TOLD} {pdo.layout.number}") for pdo in bus.telemetry),
         "}",
         "",
         Path(__file__).with_name("dissector.lua").read_text(encoding="utf-8"),
@@ -110,7 +107,7 @@ def _table(values: Mapping[int, str]) -> str:
     return "{" + ", ".join(f"[{key}] = {lua(text)}" for key, text in values.items()) + "}"
 
 
-def profile(rig: Rig) -> dict[str, str]:
+def profile(bus: KnownBus) -> dict[str, str]:
     """Return the files of a Wireshark profile by name: colours, columns, buttons, and an I/O graph
     of every signal.
     """
@@ -125,7 +122,7 @@ def profile(rig: Rig) -> dict[str, str]:
     shown = ",\n\t".join(f'"{title}", "{what}"' for title, what in columns)
     graphs = [
         _row("Disabled" if number else "Enabled", name, "", LINES[number % len(LINES)], "Line", "AVG(Y Field)", field)
-        for number, (name, field) in enumerate(_graphs(rig))
+        for number, (name, field) in enumerate(_graphs(bus))
     ]
     return {
         "preferences": f"gui.column.format:\n\t{shown}\n",
@@ -135,8 +132,8 @@ def profile(rig: Rig) -> dict[str, str]:
     }
 
 
-def _graphs(rig: Rig) -> list[tuple[str, str]]:
-    quantities = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(rig) if not word_fields(s.index)]
+def _graphs(bus: KnownBus) -> list[tuple[str, str]]:
+    quantities = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(bus.pdos) if not word_fields(s.index)]
     return [*quantities, ("time since SYNC [s]", "coulombus.sync_delay")]
 
 

@@ -10,7 +10,7 @@ let colours = {};
 
 function readColours() {
   const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(`--${name}`).trim();
-  colours = {text: colour("text"), dim: colour("dim"), line: colour("line"), law: colour("law"),
+  colours = {text: colour("text"), dim: colour("dim"), bad: colour("bad"), line: colour("line"), law: colour("law"),
     series: [0, 1, 2, 3].map((i) => colour(`series-${i}`)), focus: colour("focus")};
 }
 

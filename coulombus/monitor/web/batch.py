@@ -9,6 +9,9 @@ float32. The JSON's ``parts`` describe the numbers in order::
     {"k": "tip", "n": N}                                  N times x, N times y of an arm's tip [m], oldest first;
                                                           likewise "tip_velocity" [m/s], "tip_force" [N]
 
+After a trip there is one more batch, number 0, with ``trip_bin``, the bin of the trip: its raw samples
+are those around the trip, with times since the trip.
+
 A page that does not acknowledge, such as a sleeping tab, is sent nothing, so nothing accumulates.
 When it wakes it gets the bins since its last batch, at most ten seconds.
 """
@@ -24,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.monitor.tracks import BIN_NS, Samples
-from coulombus.monitor.web.capture import RAW_NS, ROWS, LiveCapture
+from coulombus.monitor.web.capture import AFTER_NS, BEFORE_NS, RAW_NS, ROWS, LiveCapture
 from coulombus.rigs.axis import Axis
 
 __all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
@@ -56,7 +59,12 @@ class Flow:
 
 
 def batch(
-    capture: LiveCapture, axis: Axis, flow: Flow, more: dict[str, Any], tip: Sequence[tuple[str, np.ndarray]] = ()
+    capture: LiveCapture,
+    axis: Axis,
+    flow: Flow,
+    more: dict[str, Any],
+    tip: Sequence[tuple[str, np.ndarray]] = (),
+    trip_ns: int | None = None,
 ) -> bytes:
     """Return the next batch of a page, and note its content in `flow`.
 
@@ -64,8 +72,9 @@ def batch(
     ----------
     more : further keys of the JSON
     tip : parts of an arm, shape (2, n) each
+    trip_ns : the batch is that of a trip at this time
     """
-    flow.sent += 1
+    flow.sent += trip_ns is None
     parts: list[dict[str, Any]] = []
     numbers: list[np.ndarray] = []
     names = [name for some in capture.names(axis).values() for name in some]
@@ -75,15 +84,19 @@ def batch(
             parts.append({"k": "envelope", "s": name, "first": first, "n": len(low)})
             numbers += [low, high]
             flow.bins[name] = first + len(low) - 1  # the newest bin may still grow
+    zero_ns, before_ns = (capture.newest_ns, RAW_NS) if trip_ns is None else (trip_ns, BEFORE_NS)
     pieces: dict[Samples, tuple[np.ndarray, np.ndarray]] = {}  # signals of one PDO share their times
     for name in names:
         track = capture.track(name)
         if track.samples not in pieces:
-            t_ns, rows = track.samples.all_since(capture.newest_ns - RAW_NS)
-            pieces[track.samples] = (t_ns - capture.newest_ns) * 1e-9, rows
+            t_ns, rows = track.samples.all_since(zero_ns - before_ns)
+            n = int(t_ns.searchsorted(zero_ns + AFTER_NS, "right"))
+            pieces[track.samples] = (t_ns[:n] - zero_ns) * 1e-9, rows[:, :n]
         times, rows = pieces[track.samples]
         parts.append({"k": "raw", "s": name, "n": len(times)})
         numbers += [times, rows[track.signal]]
+    if trip_ns is not None:
+        more = {**more, "trip_bin": trip_ns / BIN_NS}
     friction = capture.friction(axis)
     if friction is not None:
         parts.append({"k": "friction", "n": len(friction[0])})

@@ -24,11 +24,13 @@ from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
 from coulombus.wire.frame_batches import Block
 
-__all__ = ["ROWS", "VELOCITY", "Curve", "LiveCapture", "Period"]
+__all__ = ["AFTER_NS", "BEFORE_NS", "ROWS", "VELOCITY", "Curve", "LiveCapture", "Period"]
 
 WINDOW_NS = 1_000_000_000
 RAW_NS = 200_000_000
 """Drawn time of the raw samples."""
+BEFORE_NS, AFTER_NS = 500_000_000, 200_000_000
+"""Drawn time of the raw samples before a trip, and after it."""
 FADE_NS = 2_000_000_000
 """Drawn time of the phase plot."""
 VELOCITY_CYCLES = 5
@@ -110,7 +112,7 @@ class LiveCapture:
     Attributes
     ----------
     events : the last `EVENTS` of them
-    newest_ns : the newest stamp
+    begin_ns, newest_ns : the first stamp, and the newest; 0: no frame has come
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -138,7 +140,7 @@ class LiveCapture:
         self._last: dict[int, tuple[int, bytes]] = {}
         frame_bits(0)  # compile or load now, not with the first frames
         self.events: deque[Event] = deque(maxlen=EVENTS)
-        self.newest_ns = 0
+        self.begin_ns = self.newest_ns = 0
 
     def names(self, axis: Axis) -> dict[str, list[str]]:
         """Return the signals of each plot of an axis, by the plot's title."""
@@ -151,6 +153,7 @@ class LiveCapture:
             return
         self.live.take(block)
         self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
+        self.begin_ns = self.begin_ns or int(block.t_ns.min())
         for can_id, rows in block.rows.items():
             self._counts[can_id] = self._counts.get(can_id, 0) + len(rows)
             self._last[can_id] = int(block.lengths[rows[-1]]), block.data(rows[-1])

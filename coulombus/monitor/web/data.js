@@ -7,11 +7,11 @@ const fresh = () => ({envelopes: new Map(), raw: new Map(), friction: null, law:
 let known = fresh();  // what came; envelopes: name -> {low, high, newest}, rings over the bin's number
 let frozen = null;    // what is drawn instead, while the plots stand still
 
-function takeEnvelope(name, first, low, high) {
-  let ring = known.envelopes.get(name);
+function takeEnvelope(into, name, first, low, high) {
+  let ring = into.envelopes.get(name);
   if (!ring || first > ring.newest + 1) {
     ring = {low: new Float32Array(BINS).fill(NaN), high: new Float32Array(BINS).fill(NaN), newest: first - 1};
-    known.envelopes.set(name, ring);
+    into.envelopes.set(name, ring);
   }
   for (let i = 0; i < low.length; i++) {
     ring.low[(first + i) % BINS] = low[i];
@@ -25,21 +25,41 @@ function take(buffer) {
   const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const numbers = new Float32Array(buffer, 4 + length);
   let start = 0;
+  const into = "trip_bin" in head ? Object.assign(fresh(), {tripBin: head.trip_bin, marks: tripMark}) : known;
   for (const part of head.parts) {
     const a = numbers.subarray(start, start + part.n), b = numbers.subarray(start + part.n, start + 2 * part.n);
     start += 2 * part.n;
-    if (part.k === "envelope") takeEnvelope(part.s, part.first, a, b);
-    else if (part.k === "raw") known.raw.set(part.s, [a, b]);
-    else known[part.k] = [a, b];  // friction, and an arm's tip, tip_velocity, tip_force
+    if (part.k === "envelope") takeEnvelope(into, part.s, part.first, a, b);
+    else if (part.k === "raw") into.raw.set(part.s, [a, b]);
+    else into[part.k] = [a, b];  // friction, and an arm's tip, tip_velocity, tip_force
   }
-  known.nowBin = head.now_bin;
-  if (head.arm) known.arm = head.arm;
-  if (head.state) Object.assign(known, {law: head.law, ring: head.ring});
+  into.nowBin = head.now_bin;
+  if (head.arm) into.arm = head.arm;
+  if ("law" in head) Object.assign(into, {law: head.law, ring: head.ring});
+  if (into !== known) stand(into);
   return head;
 }
 
 function freeze() {
-  frozen = frozen ? null : structuredClone(known);
+  stand(frozen ? null : structuredClone(known));
+}
+
+// What is drawn from now on: `still`, or with null what comes.
+function stand(still) {
+  frozen = still;
   action("freeze").setAttribute("aria-pressed", String(frozen !== null));
+  rawTime();
   draw();
+}
+
+// The trip's time in each plot over time.
+function tripMark(ctx, a, plot) {
+  const x = a.px(plot.kind === "raw" ? 0 : (frozen.tripBin - frozen.nowBin) / BINS_PER_S);
+  if (!(plot.time === times[plot.kind]) || x < a.left || x > a.right) return;
+  ctx.strokeStyle = colours.bad;
+  ctx.lineWidth = 1.5;
+  ctx.beginPath();
+  ctx.moveTo(x, a.top);
+  ctx.lineTo(x, a.bottom);
+  ctx.stroke();
 }

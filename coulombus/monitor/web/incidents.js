@@ -6,8 +6,9 @@ let untilEnd = "now";
 const WORDS = {unresolved: "unresolved", recovered: "recovered", warning: "warning"};
 
 function lasted(incident) {
-  if (incident.end === null) return `${clock(incident.t)} until ${untilEnd}`;
+  if (incident.end === null) return `${incident.count > 1 ? `${incident.count} times, ` : ""}${clock(incident.t)} until ${untilEnd}`;
   const seconds = incident.end - incident.t;
+  if (incident.count > 1) return `${incident.count} times, ${clock(incident.t)} to ${clock(incident.end)}`;
   return seconds < 0.001 ? clock(incident.t) : `${clock(incident.t)}, for ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`;
 }
 

@@ -23,7 +23,7 @@ function connect() {
       final = head.state.final ? (head.state.host.runs ? "server" : "run") : "";
       words(head);
     }
-    wanted = head.n;
+    if (head.n) wanted = head.n;
     requestFrame();
   };
   mine.onclose = () => {

@@ -36,8 +36,9 @@ from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.snapshot import Snapshot
 from coulombus.monitor.web.access import ControlLock, same_origin
 from coulombus.monitor.web.batch import Flow, batch, layout
-from coulombus.monitor.web.capture import Curve, LiveCapture
+from coulombus.monitor.web.capture import AFTER_NS, Curve, LiveCapture
 from coulombus.monitor.web.guard import FORBIDDEN, Guarded, Handler, Nothing, Static
+from coulombus.monitor.web.last_page import LastData, LastPage, packed
 from coulombus.monitor.web.page_state import HostDoor, HostView, document
 from coulombus.monitor.web.tip import tip_track
 from coulombus.rigs.axis import Axis
@@ -47,6 +48,8 @@ __all__ = ["Page", "application", "order_of"]
 STATE_S = 0.2
 GOODBYE_S = 1.0
 """Time limit for a page to receive the last state."""
+KEEP_NS, SETTLED_NS = 1_000_000_000, 5_000_000_000
+"""Interval of keeping the page after a trip, and how long it goes on: nodes still report the host's end."""
 SESSIONS = 16
 STOPS = 8
 """Maximum concurrent stop requests."""
@@ -75,7 +78,11 @@ class Page:
         self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
         self.name = ""
         """Its host name in requests, besides the address itself."""
-        self.host = HostView(door.advice, door.entry)
+        self.host = HostView(door.entry)
+        self.trip_ns: int | None = None
+        self.trip_batches: dict[str, bytes] = {}
+        """The batch of the last trip for each axis."""
+        self._kept_ns = 0
         self.incidents: Callable[[], Sequence[IncidentRow]] = tuple
         """The incidents of the bus so far."""
         self.curves: Mapping[str, Curve | None] = {}
@@ -122,6 +129,52 @@ class Page:
         state = document(self.capture, snapshot, self.facts(), self.host, self.incidents())
         self._state = {**state, "start": self.door.start}
         self._version += 1
+        self._keep_trip(now_ns)
+
+    def _keep_trip(self, now_ns: int) -> None:
+        """Make the batches of a trip once the samples after it have come; after the host's end keep the page, for some seconds."""
+        trip_ns = self.host.tripped_ns
+        if trip_ns is None:
+            self.trip_ns, self.trip_batches, self._kept_ns = None, {}, 0
+        elif self.trip_ns is None and now_ns >= trip_ns + AFTER_NS and 0 < self.capture.begin_ns < trip_ns:
+            self.trip_ns = trip_ns
+            self.trip_batches = {axis.name: self.message(axis, Flow(), {}, trip_ns) for axis in self.capture.rig.axes}
+        if self.trip_ns is None or self.host.runs:
+            return
+        if now_ns - self._kept_ns > KEEP_NS and self._kept_ns < self.trip_ns + SETTLED_NS:
+            self._kept_ns = now_ns
+            with suppress(Exception):  # it must not end the page
+                self.door.keep(packed(self))
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """The names of the rig's axes."""
+        return tuple(axis.name for axis in self.capture.rig.axes)
+
+    @property
+    def rig_name(self) -> str:
+        """The rig's name."""
+        return self.capture.rig.name
+
+    def layout(self, name: str) -> dict[str, Any]:
+        """Return the plots of an axis, or of the first."""
+        return {"rows": layout(self.capture, self.axis(name)), "arm": self.tip is not None}
+
+    def message(self, axis: Axis, flow: Flow, more: dict[str, Any], trip_ns: int | None = None) -> bytes:
+        """Return the next batch of a page on an axis, or that of a trip; law and ring come with a state or a trip."""
+        tip = self.tip
+        if "state" in more or trip_ns is not None:
+            curve = self.curves.get(axis.name)
+            law = None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
+            more = {**more, "law": law, "ring": None if tip is None else self.ring(), "axis": axis.name}
+        if tip is not None:
+            more = {**more, "arm": tip.arm()}
+        return batch(self.capture, axis, flow, more, () if tip is None else tip.parts(), trip_ns)
+
+    def last_batches(self, name: str) -> list[bytes]:
+        """Return the batches of an axis for a page that is opened later: that of the trip, and the final state."""
+        more = {"state": {**(self._state or {}), "final": True}, "controls": False, "refused": False, "answer": ""}
+        return [self.trip_batches[name], self.message(self.axis(name), Flow(), more)]
 
     async def say_goodbye(self, now_ns: int) -> None:
         """Send every page the final state, with the host's end, and close it."""
@@ -179,30 +232,31 @@ class Page:
 
 
 class _Html(Handler):
-    page: Page
+    page: Page | LastPage
 
     async def get(self, _: str) -> None:
-        rig = self.page.capture.rig
-        axis = self.page.axis(self.get_query_argument("axis", ""))
+        names = self.page.axis_names
+        shown = self.get_query_argument("axis", "")
+        shown = shown if shown in names else names[0]
         links = "".join(
-            f'<a href="?axis={escape(name)}"{" aria-current=page" if name == axis.name else ""}>{escape(name)}</a>'
-            for name in rig.axis_names
+            f'<a href="?axis={escape(name)}"{" aria-current=page" if name == shown else ""}>{escape(name)}</a>'
+            for name in names
+            if name
         )
         text = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
-        text = text.replace("{{rig}}", escape(rig.name)).replace("{{axes}}", links)
+        text = text.replace("{{rig}}", escape(self.page.rig_name)).replace("{{axes}}", links)
         self.finish(text)
 
 
 class _Layout(Handler):
-    page: Page
+    page: Page | LastPage
 
     async def get(self, _: str) -> None:
-        axis = self.page.axis(self.get_query_argument("axis", ""))
-        self.finish({"rows": layout(self.page.capture, axis), "arm": self.page.tip is not None})
+        self.finish(self.page.layout(self.get_query_argument("axis", "")))
 
 
 class _Stop(Handler):
-    page: Page
+    page: Page | LastPage
 
     async def post(self, _: str) -> None:
         self.finish(await self.page.stop())
@@ -217,6 +271,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         """Store the shared state."""
         super().initialize(page)
         self.flow = Flow()
+        self.trip_ns: int | None = None
         self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
         self.answers: deque[str] = deque(maxlen=ANSWERS)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -275,31 +330,21 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
     def send(self, state: dict[str, Any] | None, version: int) -> asyncio.Future[None] | None:
         """Send the next batch, with the state if it is new to the page; return after sending, None if the page closed."""
         more: dict[str, Any] = {}
-        tip = self.page.tip
         if version != self.version:
             self.version = version
             controls = self.page.control.holder == self.number
             more = {"state": state, "controls": controls, "refused": self.refused and not controls}
-            more |= {
-                "law": self._law(),
-                "ring": None if tip is None else self.page.ring(),
-                "axis": self.axis.name,
-                "answer": self.answers.popleft() if self.answers else "",
-            }
-        if tip is not None:
-            more["arm"] = tip.arm()
+            more["answer"] = self.answers.popleft() if self.answers else ""
         try:
-            sent = self.write_message(
-                batch(self.page.capture, self.axis, self.flow, more, () if tip is None else tip.parts()), binary=True
-            )
+            if self.trip_ns != self.page.trip_ns:
+                self.trip_ns = self.page.trip_ns
+                if self.trip_ns is not None:
+                    self.write_message(self.page.trip_batches[self.axis.name], binary=True)
+            sent = self.write_message(self.page.message(self.axis, self.flow, more), binary=True)
             sent.add_done_callback(lambda done: done.exception())  # a closed page: on_close follows
         except tornado.websocket.WebSocketClosedError:
             return None
         return sent
-
-    def _law(self) -> dict[str, Any] | None:
-        curve = self.page.curves.get(self.axis.name)
-        return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
 
 
 def order_of(message: str, axis: str) -> dict[str, Any] | None:
@@ -314,15 +359,15 @@ def order_of(message: str, axis: str) -> dict[str, Any] | None:
     return {**order, "axis": axis}
 
 
-def application(page: Page) -> tornado.web.Application:
-    """Return the web application of a page."""
+def application(page: Page | LastPage) -> tornado.web.Application:
+    """Return the web application of a live page, or of a kept one."""
     shared = {"page": page}
     return tornado.web.Application(
         [
             (r"/([^/]*)/", _Html, shared),
             (r"/([^/]*)/static/([a-z.]+)", Static, shared),
             (r"/([^/]*)/layout", _Layout, shared),
-            (r"/([^/]*)/data", Data, shared),
+            (r"/([^/]*)/data", Data if isinstance(page, Page) else LastData, shared),
             (r"/([^/]*)/stop", _Stop, shared),
         ],
         default_handler_class=Nothing,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from coulombus.eds.cia301 import NmtState
@@ -17,7 +18,7 @@ from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["HostDoor", "HostView", "arm_state", "document", "drive_words", "incident_dict"]
+__all__ = ["HostDoor", "HostView", "arm_state", "document", "drive_words", "incident_dicts"]
 
 NMT_OPERATIONAL = STATES[NmtState.OPERATIONAL]
 ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
@@ -46,24 +47,24 @@ class HostDoor:
 
     Attributes
     ----------
-    advice : the command that explains a trip's text
     ring : force of the law of an arm over the directions, x and y, in a mode with the present live
         parameters; called in the same thread
     curve : friction of an axis' law over velocities, in a mode with the present live parameters;
         called in a separate thread
     last : the final report of the ended host, or None
-    entry : the runbook's paragraph for a trip's text, or None
+    entry : the runbook's section for a trip's text, a paragraph or a step in a line, or None
+    keep : keeps the last page of a host that tripped (`monitor.web.last_page`)
     start : the command that starts a host on this bus
     """
 
     status: Callable[[], Mapping[str, Any]]
     stop: Callable[[], Mapping[str, Any]]
-    advice: Callable[[str], str | None]
     change: Callable[[dict[str, Any]], Mapping[str, Any]]
     mark: Callable[[str], Mapping[str, Any]]
     curve: Callable[[Axis, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None]
     last: Callable[[], Mapping[str, Any] | None] = lambda: None
     entry: Callable[[str], str | None] = lambda trip: None
+    keep: Callable[[bytes], None] = lambda content: None
     start: str = "coulombus run"
     ring: Callable[[Rig, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None] = (
         lambda rig, mode, live: None
@@ -78,13 +79,11 @@ class HostView:
 
     Parameters
     ----------
-    advice, entry : of a `HostDoor`
+    entry : of a `HostDoor`
     """
 
-    def __init__(
-        self, advice: Callable[[str], str | None], entry: Callable[[str], str | None] = lambda trip: None
-    ) -> None:
-        self._advice, self._entry = advice, entry
+    def __init__(self, entry: Callable[[str], str | None] = lambda trip: None) -> None:
+        self._entry = entry
         self._status: Mapping[str, Any] | None = None
         self._runs = False
         self._trip: str | None = None
@@ -127,6 +126,21 @@ class HostView:
             kind, why = "ended", f"stopped by {stopped_by}" if stopped_by else "its display was over"
         return {"kind": kind, "why": why, "at": text(word.get("tripped")) or text(word.get("ended"))}
 
+    @property
+    def runs(self) -> bool:
+        """Whether the host runs."""
+        return self._runs
+
+    @property
+    def tripped_ns(self) -> int | None:
+        """Time of the trip [ns since 1970]; None without one, or if the host did not say it."""
+        said = (text(place.get("tripped")) for place in (self._word or {}, self._status or {}))
+        at = next(filter(None, said), "") if self._trip else ""
+        try:
+            return round(datetime.fromisoformat(at).timestamp() * 1e6) * 1000
+        except ValueError:
+            return None
+
     def _axes(self) -> list[Mapping[str, Any]]:
         return [entry for entry in _list((self._status or {}).get("axes")) if isinstance(entry, Mapping)]
 
@@ -165,8 +179,8 @@ class HostView:
             "display_s": _number(status.get("display_s")),
             "cycles": _number(status.get("cycles")),
             "trip": self._trip or "",
-            "advice": (self._advice(self._trip) or "") if self._trip else "",
             "entry": (self._entry(self._trip) or "") if self._trip else "",
+            "tripped_s": None if self.tripped_ns is None else self.tripped_ns * 1e-9,
             "recording": text(status.get("recording")),
             "subject": text(said.get("subject")),
             "trial": text(said.get("trial")),
@@ -206,7 +220,7 @@ def document(
         "arm": arm_state(snapshot),
         "drives": drive_words(snapshot),
         "host": host.as_dict(),
-        "incidents": [incident_dict(row) for row in incidents],
+        "incidents": incident_dicts(incidents),
         "pdos": [_pdo(capture, row, snapshot.t_ns) for row in snapshot.pdos],
         "nodes": [_node(row) for row in snapshot.nodes],
         "events": [[event.t_ns / 1e9, event.text, event.grave] for event in list(capture.events)[-EVENTS_SHOWN:]],
@@ -236,21 +250,40 @@ def drive_words(snapshot: Snapshot) -> str:
     several = len(drives) > 1
     words = []
     for node in drives:
-        state = f"{'last seen ' if _stale(node) else ''}{node.power_state}"
+        state = _power(node)
         state = f"silent, {state}" if node.silent else state
         words.append((f"{node.name} " if several else "") + state + (f", {node.emergency}" if node.emergency else ""))
     return "; ".join(words)
 
 
-def incident_dict(row: IncidentRow, epoch_ns: int = 0) -> dict[str, Any]:
-    """Return an incident for the page; its times are s since `epoch_ns`."""
+def _power(node: NodeRow) -> str:
+    """Return a drive's state, or the last one seen; empty of another node."""
+    return f"{'last seen ' if _stale(node) else ''}{node.power_state}" if node.power_state else ""
+
+
+def incident_dicts(rows: Sequence[IncidentRow], epoch_ns: int = 0) -> list[dict[str, Any]]:
+    """Return incidents for the page; its times are s since `epoch_ns`.
+
+    Those with the same title and state are one, with their count and with the details of the first.
+    """
+    groups: dict[tuple[str, str], list[IncidentRow]] = {}
+    for row in rows:
+        groups.setdefault((row.title, row.status), []).append(row)
+    return [_incident(group, epoch_ns) for group in groups.values()]
+
+
+def _incident(group: Sequence[IncidentRow], epoch_ns: int) -> dict[str, Any]:
+    row = group[0]
+    ends = [member.end_ns for member in group]
+    end_ns = None if None in ends else max(end for end in ends if end is not None)
     return {
         "number": row.number,
-        "key": row.key,
+        "key": min(group, key=lambda member: member.begin_ns).key,
         "status": row.status,
         "title": row.title,
-        "t": (row.begin_ns - epoch_ns) / 1e9,
-        "end": None if row.end_ns is None else (row.end_ns - epoch_ns) / 1e9,
+        "count": len(group),
+        "t": (min(member.begin_ns for member in group) - epoch_ns) / 1e9,
+        "end": None if end_ns is None else (end_ns - epoch_ns) / 1e9,
         "cause": row.cause,
         "sure": row.sure,
         "checks": list(row.checks),
@@ -331,6 +364,6 @@ def _node(row: NodeRow) -> dict[str, Any]:
         "id": row.node_id,
         "state": row.state or "",
         "silent": row.silent,
-        "power": row.power_state or "",
+        "power": _power(row),
         "emergency": row.emergency or "",
     }

@@ -1,7 +1,7 @@
 "use strict";
 // The plots: a canvas each. Lines over time share their time axis, so that a zoom is of all of them.
 
-const SPAN_S = 10, RAW_S = 0.2, ZOOM = 1.25, LEAST = 1e-4;
+const SPAN_S = 10, RAW_S = 0.2, BEFORE_S = 0.5, AFTER_S = 0.2, ZOOM = 1.25, LEAST = 1e-4;
 const hidden = new Set();  // signals that are not drawn
 
 let plots = [];
@@ -49,7 +49,7 @@ class Plot {
     if (points) this.fit(points);
     else this.fitFriction(data);
     const {ctx, a} = this.within(1, (ctx, a) => points ? this.curves(ctx, a, points) : this.phase(ctx, a, data));
-    if (data.marks) data.marks(ctx, a);
+    if (data.marks) data.marks(ctx, a, this);
     this.pointer(ctx, a);
   }
 
@@ -174,6 +174,7 @@ class Plot {
 
   // The pointer: the wheel zooms along the x axis, with Shift along the y axis; dragging marks a region.
   listen() {
+    new ResizeObserver(requestDraw).observe(this.place);  // a line above the plots comes or goes while they stand still
     const place = (event) => {
       const box = this.canvas.getBoundingClientRect(), a = this.drawn, within = (v, low, high) => Math.min(Math.max(v, low), high);
       return {x: within(event.clientX - box.left, a.left, a.right), y: within(event.clientY - box.top, a.top, a.bottom)};
@@ -239,14 +240,27 @@ async function makeLivePlots() {
     for (const [kind, title, across, shown] of [["envelope", `${row.title} [${row.unit}], 10 s`, "time before now [s]", names],
       ["raw", "each sample, 0.2 s", "time before now [s]", []]]) {
       const place = document.getElementById(`${row.title}-${kind}`);
-      if (place) made.push(new Plot(place, kind, {...row, title, across, last, legend: shown, high: names.length > 1}));
+      if (place) made.push(new Plot(place, kind, {...row, name: row.title, title, across, last, legend: shown, high: names.length > 1}));
     }
   });
   if (arm) made.push(...tipPlots());
   else made.push(new Plot(document.getElementById("friction-plot"), "friction", {title: "friction [Nm], 2 s", unit: "Nm",
     across: "velocity [rad/s]", last: true, signals: [], legend: [["measured", "series-0"], ["law", "series-law"]]}));
   plots = made;
+  rawTime();
   draw();
+}
+
+// The plots of each sample: the last ones, or those around a trip, where these stand still.
+function rawTime() {
+  const trip = Boolean(frozen && frozen.tripBin);
+  Object.assign(times.raw, {all: trip ? [-BEFORE_S, AFTER_S] : [-RAW_S, 0], zoom: null});
+  document.body.classList.toggle("trip", trip);
+  for (const plot of plots) {
+    if (plot.kind !== "raw") continue;
+    plot.row.across = trip ? "time since the trip [s]" : "time before now [s]";
+    plot.place.querySelector(".title").textContent = trip ? `${plot.row.name} [${plot.row.unit}] at the trip, each sample` : plot.row.title;
+  }
 }
 
 function unzoom() {

@@ -28,7 +28,7 @@ from coulombus.explain.explained import Explanation
 from coulombus.monitor.live_incidents import incident_rows
 from coulombus.monitor.web.capture import ROWS
 from coulombus.monitor.web.guard import Handler, Nothing, Static
-from coulombus.monitor.web.page_state import incident_dict
+from coulombus.monitor.web.page_state import incident_dicts
 from coulombus.monitor.web.server import listening, named, serve_until
 from coulombus.recording.signals import Recording, Series
 
@@ -54,7 +54,7 @@ class RecordingPage:
         begin, end = (min(t[0] for t in times), max(t[-1] for t in times)) if times else (0.0, 1.0)
         return {
             "path": recording.path,
-            "rig": recording.rig.name,
+            "rig": "" if recording.known_rig is None else recording.rig.name,
             "begin": float(begin),
             "end": float(end) if end > begin else float(begin) + 1.0,
             "plots": self._plots(),
@@ -63,13 +63,19 @@ class RecordingPage:
                 for name, series in recording.signals.items()
             ],
             "markers": [[float(t_s), text] for t_s, text in recording.markers],
-            "incidents": [incident_dict(row, self.explanation.epoch_ns) for row in incident_rows(self.explanation)],
+            "incidents": incident_dicts(incident_rows(self.explanation), self.explanation.epoch_ns),
         }
 
     def _plots(self) -> list[dict[str, Any]]:
-        """Return the live page's plots of all axes, for the signals that were received."""
-        prefixes = [axis.prefix for axis in self.recording.rig.axes]
-        plots = []
+        """Return the live page's plots of all axes, without a rig one of each PDO, for the signals that
+        were received.
+        """
+        rig, plots = self.recording.known_rig, list[dict[str, Any]]()
+        if rig is None:
+            for pdo in self.recording.pdos:
+                names = [signal.name for signal in pdo.signals if len(self.recording.signals.get(signal.name, ()))]
+                plots.append({"title": f"{pdo.node} {pdo.name}", "unit": "", "signals": names})
+        prefixes = [] if rig is None else [axis.prefix for axis in rig.axes]
         for title, unit, keys in ROWS:
             names = [prefix + key for prefix in prefixes for key in keys]
             names = [name for name in names if len(self.recording.signals.get(name, ()))]

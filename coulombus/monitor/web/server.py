@@ -22,16 +22,18 @@ from coulombus.monitor.bus_reader import BATCH_S, BusReader
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
+from coulombus.monitor.web.last_page import LastPage
 from coulombus.monitor.web.page import Page, application
 from coulombus.monitor.web.page_state import HostDoor
 from coulombus.monitor.web.reader import CurveReader, HostReader
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
+from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress, BusUnavailable
-from coulombus.wire.client import Client
+from coulombus.wire.client import OpenBus
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_until"]
+__all__ = ["Server", "Shown", "end_on_signal", "listening", "named", "serve", "serve_last", "serve_until"]
 
 CONNECTIONS = 128
 """Maximum open connections besides the pages' sockets: another one replaces the oldest."""
@@ -213,11 +215,11 @@ async def _last_word(door: HostDoor, over: asyncio.Event) -> None:
             await _pause(over, WORD_S / 50)
 
 
-async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
+async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> OpenBus | None:
     """Return a client of the bus; if it does not exist yet and the caller is patient, wait until `over` (None)."""
     while not over.is_set():
         try:
-            return Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
+            return open_bus(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
         except BusUnavailable:
             if not patient:
                 raise
@@ -268,6 +270,21 @@ def serve_until(
     finally:
         for listener in sockets:
             listener.close()
+
+
+def serve_last(
+    page: LastPage,
+    ready: Callable[[str], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    seconds: float | None = None,
+) -> None:
+    """Serve the page of the last trip until a signal, or for `seconds`; parameters and errors as of `serve`."""
+    sockets = listening(host, port)
+    page.name = named(host)
+    server = tornado.httpserver.HTTPServer(application(page))
+    serve_until(server, sockets, lambda at: ready(f"http://{page.name}:{at}/{page.token}/"), seconds)
 
 
 async def _pause(over: asyncio.Event, seconds: float) -> None:

@@ -1,9 +1,7 @@
 "use strict";
 // The words, the tables and the histograms of what the server tells five times a second.
 
-const SAID_MS = 5000, MOST_US = 20000, FREEZE_MS = 1000;
-
-let tripped = null;  // the trip that was told last; null: no state has come yet
+const SAID_MS = 5000, MOST_US = 20000, NEAR_S = 5;
 
 function words(head) {
   const state = head.state, host = state.host;
@@ -20,9 +18,10 @@ function words(head) {
   put("load_percent", `${state.load_percent.toFixed(0)} %`);
   one("load-meter").value = state.load_percent;
   put("lost", state.lost);
+  document.getElementById("lost").hidden = !state.lost;
   for (const name of ["lost_pdos", "missed"]) put(name, host[name]).classList.toggle("bad", host[name] > 0);
   put("role", head.controls ? "in control" : "viewing");
-  action("control").hidden = head.controls;
+  action("control").hidden = head.controls || Boolean(state.final);
   document.body.classList.toggle("ended", !host.runs);
   sliders(host.parameters, head.axis, head.controls, host.arm_key);
   for (const [name, id] of [["wakeup_us", "wakeup"], ["sync_to_rpdo_us", "sync_to_rpdo"]]) {
@@ -39,23 +38,37 @@ function words(head) {
   incidents(state.incidents);
   rows("pdos", state.pdos.flatMap(pdoRows));
   rows("nodes", state.nodes.flatMap(nodeRows));
-  rows("events", state.events.slice().reverse().map(([t, said, grave]) => [grave ? "grave" : "", [[clock(t), ""], [said, ""]]]));
+  rows("events", state.events.slice().reverse().map(([t, said, grave]) => [grave ? "grave" : "", [[clockAt(t, host.tripped_s), ""], [said, ""]]]));
 }
 
 // How the host ended, or that none runs, with the next command; a trip with what the runbook says of it.
 function endWords(state, host) {
-  const at = host.end && host.end.at ? ` at ${new Date(host.end.at).toLocaleTimeString([], {hour12: false})}` : "";
+  const when = host.tripped_s !== null ? 1000 * host.tripped_s : host.end && host.end.at;
+  const at = when ? ` at ${new Date(when).toLocaleTimeString([], {hour12: false})}` : "";
   const told = host.trip ? `Trip${at}: ${host.trip}` : "", trip = document.getElementById("trip");
   put("trip", told).hidden = trip.hidden = !told;
-  put("entry", host.entry || (host.advice ? `Likely causes, and what to do: ${host.advice}` : "Look at the last second of the recording."));
+  put("entry", host.entry || "Look at the last second of the recording.");
+  const step = /^1\. (.*)$/m.exec(host.entry), cause = told && causeOf(state.incidents, host.tripped_s);
+  put("step", step ? `First: ${step[1]}` : "").hidden = !step;
+  put("cause", cause ? `On the bus: ${cause.title}. ${cause.cause}` : "").hidden = !cause;
   const end = document.getElementById("end"), lost = Boolean(host.end) && host.end.kind === "lost";
+  if (!told && frozen && frozen.tripBin) stand(null);  // a new run
   end.hidden = host.runs || Boolean(told);
   end.className = lost ? "lost" : "";
   put("end", !host.end ? "No host runs on this bus. Start one:" : lost ? `The host is gone: ${host.end.why}.` : `The host ended${at}: ${host.end.why}. Start it again:`);
   put("start", state.start);
   document.getElementById("start").hidden = lost;
-  if (tripped === "" && host.trip) setTimeout(() => { if (!frozen) freeze(); }, FREEZE_MS);  // what led to it stays
-  tripped = host.trip;
+}
+
+// The incident that led to a trip: the most important one of those that began before it.
+function causeOf(all, tripped) {
+  return all.find((incident) => incident.status !== "warning" && (tripped === null || Math.abs(incident.t - tripped) < NEAR_S));
+}
+
+// A time beside the trip's as milliseconds from it, else as the clock shows it.
+function clockAt(t, tripped) {
+  const ms = Math.round(1000 * (t - tripped));
+  return tripped === null || Math.abs(ms) > 1000 * NEAR_S ? clock(t) : `${ms < 0 ? "\u2212" : "+"}${Math.abs(ms)} ms`;
 }
 
 // The plotted signals as figures, for a screen that is too small to see the plots first.
@@ -114,7 +127,7 @@ function nodeRows(node) {
   const made = [[style, [
     [node.name, "", `node:${node.name}`], [node.id, "n"],
     [node.silent ? `${node.state}, silent` : node.state || "not heard", "", `state:${node.name}`]]]];
-  const told = node.emergency || node.power;
+  const told = [node.power, node.emergency].filter(Boolean).join("; ");
   if (told) made.push([style, [[told, "drive", `power:${node.name}`]]]);
   return made;
 }
@@ -143,7 +156,7 @@ function rows(id, wanted) {
 }
 
 // A histogram over the time's logarithm, 1 us to 20 ms; heights are the counts' logarithms.
-const DECADES = [[1, "1 us"], [10, "10"], [100, "100"], [1000, "1 ms"], [10000, "10"]];
+const DECADES = [[1, "1 us"], [10, "10"], [100, "100"], [1000, "1 ms"], [10000, "10 ms"]];
 const across = (us) => 100 * Math.log10(Math.max(us, 1)) / Math.log10(MOST_US);
 
 function histogram(id, told, deadline) {

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from coulombus.recording.export.matlab import MatWriter
 from coulombus.recording.export.mcap import McapWriter
 from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
+from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.output_file import new_file
 from coulombus.recording.reading import blocks, captures
 from coulombus.recording.remarks import remarks_on
@@ -77,6 +78,7 @@ def export(
     grid_ns: int | None = None,
     rig: Rig | str | os.PathLike[str] | None = None,
     channel: Channel = None,
+    eds: Iterable[str] | EdsFiles = (),
     force: bool = False,
     progress: Callable[[float], None] = lambda t_s: None,
 ) -> Exported:
@@ -98,6 +100,8 @@ def export(
         Decode with this rig instead of the attached one.
     channel
         Which of the file's buses, as `read` takes it; None: of whole frames those of all buses.
+    eds
+        EDS files, as `read` takes them.
     force
         Replace `out` if it exists.
     progress
@@ -124,11 +128,11 @@ def export(
         if signals is not None or grid_ns is not None:
             raise ExportError(f"{kind} holds whole frames: leave the signals and the grid out")
         return _frames(Path(path), Path(out), kind, channel_texts(channel), force=force, progress=progress)
-    source = blocks(path, rig, channel)
+    source = blocks(path, rig, channel, eds=eds)
     groups = groups_of(source, signals, grid_ns)
     about = _about(path)
     if not any(group.columns for group in groups):
-        remedy = f"decode it with a rig (--rig), or export whole frames: {', '.join(FRAMES)}"
+        remedy = f"decode it with a rig (--rig) or EDS files (--eds), or export whole frames: {', '.join(FRAMES)}"
         raise ExportError(f"{path}: it has no signals, for no PDO map of it is known; {remedy}")
     if grid_ns is not None:
         about["grid"] = f"{grid_ns / 1e9:g} s, values held"

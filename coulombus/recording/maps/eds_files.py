@@ -22,15 +22,21 @@ class EdsFiles:
     refused: list[str] = field(default_factory=list)
     """Reasons why files of a folder cannot be read."""
 
+    def __bool__(self) -> bool:
+        """Return whether any file is given."""
+        return bool(self.of_nodes or self.candidates)
 
-def eds_files(texts: Iterable[str]) -> EdsFiles:
-    """Return the files named by ``NODE=FILE`` or ``FOLDER``.
+
+def eds_files(texts: Iterable[str] | EdsFiles) -> EdsFiles:
+    """Return the files named by ``NODE=FILE`` or ``FOLDER``; files that are read already as they are.
 
     Raises
     ------
     EdsError
         An argument has neither form, or its file cannot be read.
     """
+    if isinstance(texts, EdsFiles):
+        return texts
     files = EdsFiles()
     for text in texts:
         number, equals, name = text.partition("=")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, identified, maps_of
+from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, Objects, identified, maps_of
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
@@ -79,7 +80,7 @@ class LogMaps:
         self._came |= came
         self._see({key & 0x7F for key in came if key & 0x780 in (SDO_TX, HEARTBEAT)})
         self._frames += len(frames)
-        changed = self._renew()
+        changed = self.learn()
         return self._misfits(can_id, length) or changed
 
     def _see(self, numbers: set[int]) -> None:
@@ -117,7 +118,13 @@ class LogMaps:
             node.objects[at] = value
             self._stale, self._set_at = True, self._row
 
-    def _renew(self) -> bool:
+    def hold(self, number: int, objects: Objects) -> None:
+        """Take the values that a node's objects have now; `learn` makes maps of them."""
+        for place, value in objects.items():
+            self._set(number, place, value)
+
+    def learn(self) -> bool:
+        """Renew the maps, without frames those of the EDS files; return whether one is new or changed."""
         if not self._stale:
             return False
         self._stale = False
@@ -191,11 +198,20 @@ def _pdo(node: int, direction: str, number: int, can_id: int, entries: tuple[Ent
         entries=entries,
     )
     pdo = f"{node}.{direction.upper()}{number}"
-    labels = (f"gap{i}" if e.dummy else where(e.index, e.subindex) for i, e in enumerate(entries, 1))
     signals = (
-        Signal(f"{pdo}.{label}", e.index, e.subindex, 1.0, 0.0, "") for label, e in zip(labels, entries, strict=True)
+        Signal(f"{pdo}.{label}", e.index, e.subindex, 1.0, 0.0, "")
+        for label, e in zip(_labels(entries), entries, strict=True)
     )
     return RigPdo(str(node), node, layout, tuple(signals))
+
+
+def _labels(entries: tuple[Entry, ...]) -> Iterator[str]:
+    """Yield the last part of each signal's name: its object, and a count from its second place in the PDO on."""
+    count: Counter[str] = Counter()
+    for number, entry in enumerate(entries, 1):
+        label = f"gap{number}" if entry.dummy else where(entry.index, entry.subindex)
+        count[label] += 1
+        yield label if count[label] == 1 else f"{label}_{count[label]}"
 
 
 def _entry(field: Field, description: Description | None, profile: int) -> Entry:

@@ -9,14 +9,17 @@ from typing import TypeAlias
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description, EdsError
 from coulombus.eds.eds_folder import fitting
-from coulombus.eds.pdo import COMMUNICATION, MAPPING, PdoLayout, read_layout
+from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_COUNT, PdoLayout, read_layout
 from coulombus.rigs.rig import Rig
 
 __all__ = ["SEEN", "Field", "Map", "MappedNode", "Objects", "identified", "maps_of", "maps_of_rig"]
 
 SEEN = "SDO seen in the log"
 """Source of a map that SDO transfers of the log have."""
+RANKS = ("assumed", "rig", "EDS", SEEN)
+"""Sources of a map, the best last."""
 PDOS = 8
+"""PDOs of a node without an EDS file."""
 BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
 Maps: TypeAlias = Mapping[str, Mapping[int, tuple[int, ...]]]
 DEFAULTS_402: Maps = {
@@ -71,8 +74,8 @@ class Field:
 class Map:
     """A PDO: its node, number and fields.
 
-    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `synchronous` is None if the
-    transmission type is unknown; `event_ns` and `inhibit_ns` are 0 if event timer or inhibit time
+    `source` is "SDO seen in the log", "EDS", "rig" or "assumed"; `transmission` is None if the type is
+    unknown; `event_ns` and `inhibit_ns` are 0 if event timer or inhibit time
     is unknown.
     """
 
@@ -82,9 +85,19 @@ class Map:
     number: int
     fields: tuple[Field, ...]
     source: str
-    synchronous: bool | None = None
+    transmission: int | None = None
     event_ns: int = 0
     inhibit_ns: int = 0
+
+    @property
+    def synchronous(self) -> bool | None:
+        """Whether it follows SYNC; None: unknown."""
+        return None if self.transmission is None else self.transmission <= 240
+
+    @property
+    def each_sync(self) -> bool | None:
+        """Whether it follows each SYNC; None: unknown, or it comes after some of them (types 0 and 2 to 240)."""
+        return None if self.synchronous and self.transmission != 1 else self.synchronous
 
     @property
     def name(self) -> str:
@@ -129,7 +142,7 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
             layout.number,
             fields,
             "rig",
-            synchronous=layout.transmission <= 240,
+            transmission=layout.transmission,
             event_ns=layout.event_ns if layout.direction == "tpdo" else 0,
             inhibit_ns=layout.inhibit_ns if layout.direction == "tpdo" else 0,
         )
@@ -139,20 +152,42 @@ def maps_of_rig(rig: Rig) -> dict[int, Map]:
 def maps_of(
     nodes: Mapping[int, MappedNode], descriptions: Mapping[int, Description], fixed: Mapping[int, Map]
 ) -> dict[int, Map]:
-    """Return the maps of a bus by identifier; SDO configuration takes precedence over EDS, rig and defaults."""
+    """Return the maps of a bus by identifier; SDO configuration takes precedence over EDS, rig and defaults.
+
+    Of two maps with one identifier, that of the better source counts, then that of the sender (a
+    TPDO), then that of the lower node id and number.
+    """
     maps: dict[int, Map] = dict(fixed)
-    for node in nodes.values():
+    for number in sorted(nodes):
+        node, description = nodes[number], descriptions.get(number)
         for direction in ("rpdo", "tpdo"):
-            for number in range(1, PDOS + 1):
-                known = _map(node, descriptions.get(node.number), direction, number)
+            for pdo in _numbers(node, description, direction):
+                known = _map(node, description, direction, pdo)
                 if known is None:
                     continue
                 if known.source != "assumed":
                     for can_id in [c for c, m in maps.items() if _same(m, known) and c != known.can_id]:
                         del maps[can_id]
-                if known.can_id > 0 and (known.source != "assumed" or known.can_id not in maps):
+                if known.can_id > 0 and (known.can_id not in maps or _rank(known) > _rank(maps[known.can_id])):
                     maps[known.can_id] = known
     return maps
+
+
+def _numbers(node: MappedNode, description: Description | None, direction: str) -> list[int]:
+    """Return the numbers of the PDOs that a node may have: the first eight, those of its EDS file, those seen."""
+    first = COMMUNICATION[direction]
+    described: list[int] = []
+    if description is not None:
+        key = ("pdo numbers", direction)
+        if key not in description.derived:
+            description.derived[key] = [n for n in range(1, PDO_COUNT + 1) if description.has(first + n - 1)]
+        described = description.derived[key]
+    seen = {index - first + 1 for index, _ in node.objects if first <= index < first + PDO_COUNT}
+    return sorted({*range(1, PDOS + 1), *described, *seen})
+
+
+def _rank(known: Map) -> tuple[bool, int, bool]:
+    return bool(known.fields), RANKS.index(known.source), known.direction == "tpdo"
 
 
 def _same(one: Map, other: Map) -> bool:
@@ -181,7 +216,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
         except (EdsError, KeyError):
             layout = None
         if layout is not None and description.has(communication):
-            fields = _fields_of(layout)
+            fields = () if count == 0 else _fields_of(layout)  # seen to be emptied
             cob_id = (layout.cob_id if layout.cob_id >= 0 else 1 << 31) if cob_id is None else cob_id
             transmission = layout.transmission if transmission is None else transmission
             if sends and (communication, 5) not in objects:
@@ -189,6 +224,8 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
             if sends and (communication, 3) not in objects:
                 inhibit_ns = layout.inhibit_ns
     usual = DEFAULTS.get(node.device_type & 0xFFFF, {}).get(direction, {})
+    if description is not None and description.has(communication):
+        usual = {}  # the file describes the PDO: nothing is assumed of it, be its map empty or unreadable
     if not fields and number in usual and count is None:
         fields, source = _fields(list(usual[number])), "assumed"
     if not fields and cob_id is None and not any((communication, sub) in objects for sub in (2, 3, 5)):
@@ -196,8 +233,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
     if cob_id is None:
         cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
     can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
-    synchronous = None if transmission is None else transmission <= 240
-    return Map(can_id, node.number, direction, number, fields, source, synchronous, event_ns, inhibit_ns)
+    return Map(can_id, node.number, direction, number, fields, source, transmission, event_ns, inhibit_ns)
 
 
 def _fields_of(layout: PdoLayout) -> tuple[Field, ...]:

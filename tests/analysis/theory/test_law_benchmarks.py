@@ -29,6 +29,7 @@ from coulombus.analysis.theory.published_curves import literature_curves
 from coulombus.cli.main import main
 from coulombus.host.laws.along import given_law
 from coulombus.host.laws.laws import BUILTIN_LAWS
+from documented import plain_formulas
 from places import ROOT
 
 pytestmark = pytest.mark.slow
@@ -54,7 +55,7 @@ def test_a_wrong_law_misses_its_benchmark(computed):
 
 
 def test_the_document_has_the_tables(computed):
-    text = DOCS.read_text()
+    text = plain_formulas(DOCS.read_text())
     missing = [line for line in lines(*computed) if line and line not in text]
     assert missing == []
 

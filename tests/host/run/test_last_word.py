@@ -5,6 +5,7 @@ import os
 import re
 import time
 from datetime import datetime
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -13,7 +14,16 @@ from coulombus.cli.main import main
 from coulombus.cli.watch import host_line
 from coulombus.host.run import control_socket
 from coulombus.host.run.control_socket import control_path
-from coulombus.host.run.last_word import ending, forget_word, last_word, leave_word, newest_word, wall_time
+from coulombus.host.run.last_word import (
+    ending,
+    forget_word,
+    keep_page,
+    last_page,
+    last_word,
+    leave_word,
+    newest_word,
+    wall_time,
+)
 from coulombus.wire.address import parse_address
 
 BUS = parse_address("coulombus:word")
@@ -39,7 +49,7 @@ def test_it_is_read_after_the_end_and_forgotten_by_the_next_host():
     assert last_word(BUS) is None
     leave_word([BUS], OUTCOME)
     word = last_word(BUS)
-    assert {**OUTCOME, "ended": word["ended"]} == word
+    assert {**OUTCOME, "ended": word["ended"], "recording": None} == word
     assert ending(word).endswith(", stopped by coulombus stop")
     assert [path.name for path in place().parent.iterdir()] == [place().name]
     forget_word([BUS])
@@ -70,6 +80,41 @@ def test_a_word_that_cannot_be_left_raises_nothing(monkeypatch):
     leave_word([BUS], OUTCOME)
     forget_word([BUS])
     assert last_word(BUS) is None
+
+
+def test_the_page_of_a_trip_is_kept_until_the_next_host():
+    leave_word([BUS], OUTCOME, Path("run.pcapng"))
+    assert last_word(BUS)["recording"] == str(Path("run.pcapng").absolute())
+    assert last_page(BUS) is None
+    keep_page(BUS, b"seen")
+    assert last_page(BUS) == b"seen"
+    assert last_word(BUS)["cycles"] == OUTCOME["cycles"]
+    forget_word([BUS])
+    assert last_page(BUS) is None
+
+
+def test_a_last_page_that_nobody_kept_names_what_is_left():
+    words = ["watch", "--web", "--last"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    assert "no host of this user on this machine has left a word" in " ".join(done.output.split())
+    leave_word([BUS], OUTCOME)
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    assert "did not trip; it ended" in " ".join(done.output.split())
+    done = CliRunner().invoke(main, ["stop"])
+    assert done.exit_code == 4
+    assert "no host runs on bus coulombus:word; the last one ended" in " ".join(done.output.split())
+    leave_word([BUS], OUTCOME | {"trip": "SPEED: too fast"}, Path("a run.pcapng"))
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    text = " ".join(done.output.split())
+    assert "no page was open at the end of the last host on bus coulombus:word" in text
+    assert "trip SPEED: too fast" in text
+    assert f"coulombus watch '{Path('a run.pcapng').absolute()}' --web" in text
+    keep_page(BUS, b"{")
+    assert "the page of the last trip cannot be read" in CliRunner().invoke(main, [*words, "--bus", str(BUS)]).output
+    assert CliRunner().invoke(main, ["watch", "--last"]).exit_code == 2
 
 
 def test_the_ten_newest_reports_stay():

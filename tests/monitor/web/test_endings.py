@@ -4,13 +4,17 @@ import asyncio
 import struct
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
 from coulombus.monitor.live_incidents import IncidentReader
-from web_bench import BEGIN_NS, MS, Door, cycles, page, served
+from coulombus.monitor.web import WebError
+from coulombus.monitor.web.last_page import LastPage
+from coulombus.recording.wall_clock import utc
+from web_bench import BEGIN_NS, MS, TOKEN, Door, cycles, page, served
 
 pytestmark = [
     pytest.mark.slow,
@@ -33,7 +37,9 @@ class Scene:
     def __init__(self, word=None):
         self.door, self.k, self.status, self.extra, self.armed = Door(), 400, {}, [], True
         self.word = word
-        self.door.door = replace(self.door.door, last=lambda: self.word, entry=lambda trip: f"Check it. {trip}")
+        self.door.door = replace(
+            self.door.door, last=lambda: self.word, entry=lambda trip: f"Why.\n\n1. Check it. {trip}\n2. More."
+        )
         self.page = page(door=self.door)
         self.incidents = IncidentReader(self.page.capture.rig)
         self.page.incidents = lambda: self.incidents.rows
@@ -76,19 +82,70 @@ def shown(tmp_path, use, **options):
 VISIBLE = "document.getElementById('{}').checkVisibility()"
 
 
-def test_a_trip_stays_with_its_runbook_entry_and_freezes_the_plots(tmp_path):
+RAW = "Array.from(frozen.raw.get('motor.position_rad')[{}])"
+
+
+def test_a_trip_shows_its_first_step_and_each_sample_around_it(tmp_path):
     async def use(browser, scene):
         assert not await browser.evaluate(VISIBLE.format("trip"))
-        scene.status = {"trip": "SPEED: too fast"}
-        await browser.until("one('trip').textContent === 'Trip: SPEED: too fast'")
+        trip_ns = BEGIN_NS + scene.k * MS
+        scene.status = {"trip": "SPEED: too fast", "tripped": utc(trip_ns)}
+        await browser.until("one('trip').textContent.endsWith(': SPEED: too fast')")
+        assert await browser.text("step") == "First: Check it. SPEED: too fast"
         await browser.evaluate("action('runbook').click()")
         assert await browser.evaluate("one('entry').checkVisibility()")
-        assert await browser.text("entry") == "Check it. SPEED: too fast"
         await browser.until("frozen !== null")
+        assert await browser.evaluate("action('freeze').getAttribute('aria-pressed')") == "true"
+        times, values = [await browser.evaluate(RAW.format(row)) for row in (0, 1)]
+        assert len(times) >= 600
+        assert (times[0], times[-1]) == (pytest.approx(-0.4998, abs=2e-3), pytest.approx(0.2, abs=2e-3))
+        assert np.diff(times) == pytest.approx(1e-3, abs=1e-6)  # full rate
+        track = scene.page.capture.track("motor.position_rad")
+        _, angles = track.since(trip_ns + round(times[0] * 1e9) - 1000)
+        assert values == pytest.approx(angles[: len(values)], rel=1e-5)
         await browser.press("f", 70)
-        await browser.until("known.nowBin > 60 && frozen === null")  # who goes on is not held again
+        await browser.until("known.nowBin > 60 && frozen === null && times.raw.all[1] === 0")
+        assert not await browser.evaluate("document.body.classList.contains('trip')")
 
     shown(tmp_path, use)
+
+
+def test_the_page_of_a_trip_is_served_again_without_bus_and_host(tmp_path):
+    kept = []
+
+    async def use(browser, scene):
+        scene.door.door = replace(scene.door.door, keep=kept.append)
+        scene.page.door = scene.door.door
+        tripped = utc(BEGIN_NS + scene.k * MS)
+        scene.word = WORD | {"trip": "SPEED: too fast", "tripped": tripped}
+        scene.status = None
+        await browser.until("frozen !== null")
+        seen = [await browser.evaluate(RAW.format(row)) for row in (0, 1)]
+        last = LastPage.of(kept[-1], TOKEN)
+        async with served(last) as url, Browser(url, str(tmp_path / "later")) as later:
+            await later.until("plots.length === 7 && frozen !== null")
+            assert [await later.evaluate(RAW.format(row)) for row in (0, 1)] == seen
+            assert (await later.text("trip")).endswith(": SPEED: too fast")
+            assert (await later.text("mode"), await later.text("lost_pdos")) == ("hybrid", "95")
+            await later.press("Escape", 27)
+            await later.until("one('said').textContent.startsWith('STOP: no host runs here')")
+
+    shown(tmp_path, use)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"rig": "bench", "axes": {}}',
+        b'{"rig": 1, "axes": {"": {"layout": {}, "batches": ["AAA"]}}}',
+    ],
+)
+def test_a_kept_page_that_is_damaged_is_refused(content):
+    with pytest.raises(WebError, match="the page of the last trip cannot be read"):
+        LastPage.of(content, TOKEN)
 
 
 def test_an_orderly_end_is_told_without_alarm_with_the_hosts_counts(tmp_path):
@@ -116,7 +173,7 @@ def test_an_orderly_end_is_told_without_alarm_with_the_hosts_counts(tmp_path):
 
 def test_no_host_yet_shows_the_command_that_starts_one(tmp_path):
     async def use(browser, scene):
-        scene.page.host.__init__(scene.door.door.advice)
+        scene.page.host.__init__()
         scene.status = None
         await browser.until(VISIBLE.format("end"))
         assert (await browser.text("end")).startswith("No host runs on this bus")

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
+from coulombus.recording.wall_clock import utc
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 pytestmark = [
@@ -97,6 +98,23 @@ def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
         assert await browser.evaluate(colours)  # those of the canvases are the legends'
 
     asyncio.run(with_page(tmp_path, use, dark=dark, door=Door("123456"), status={"trip": "SPEED: too fast"}))
+
+
+@pytest.mark.parametrize("size", [(1920, 1080), (1366, 768), (1280, 720), (768, 1024), (390, 844)])
+def test_the_samples_at_a_trip_have_room_beside_the_last_ten_seconds(tmp_path, size):
+    async def use(browser, shown):
+        await browser.until("document.body.classList.contains('trip')")
+        assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        widths = "plots.filter((p) => ['raw', 'envelope'].includes(p.kind)).map((p) => p.place.clientWidth)"
+        assert min(await browser.evaluate(widths)) > 150
+        assert await browser.evaluate("plots[0].place.querySelector('.legend').checkVisibility()")
+        if size[0] == 1366:
+            last = "document.querySelector('#pdos tr:last-child').getBoundingClientRect().bottom"
+            assert await browser.evaluate(f"{last} <= document.querySelector('.pdos').getBoundingClientRect().bottom")
+            assert await browser.evaluate("document.documentElement.scrollHeight <= innerHeight")
+
+    trip = {"trip": "SPEED: too fast", "tripped": utc(BEGIN_NS + 300 * MS)}
+    asyncio.run(with_page(tmp_path, use, size=size, status=trip))
 
 
 @pytest.mark.parametrize("size", [(1920, 1080), (1280, 720), (1024, 768), (768, 1024), (390, 844)])

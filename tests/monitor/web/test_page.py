@@ -1,15 +1,17 @@
 """The page's model: samples, words, batches, guards. No bus, no browser."""
 
 import os
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.web.access import ControlLock, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.monitor.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
 from coulombus.monitor.web.capture import LiveCapture
-from coulombus.monitor.web.page_state import HostView, arm_state, document, drive_words
+from coulombus.monitor.web.page_state import HostView, arm_state, document, drive_words, incident_dicts
 from coulombus.rigs.rig import load_rig
 from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 
@@ -24,7 +26,7 @@ def capture():
 
 
 def view():
-    return HostView(lambda trip: "coulombus help SPEED" if "SPEED" in trip else None)
+    return HostView(lambda trip: "1. Turn the handle." if "SPEED" in trip else None)
 
 
 def test_signals_are_kept_in_si_units(capture):
@@ -75,12 +77,44 @@ def test_nothing_that_the_bus_carries_raises(capture):
     batch(capture, capture.rig.one_axis(), Flow(), {})
 
 
+def test_the_time_of_a_trip_is_the_host_s_and_lasts_until_the_next_run():
+    host = view()
+    assert host.tripped_ns is None
+    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:00.300001Z"})
+    assert host.tripped_ns == 1_800_000_000_300_001_000
+    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "yesterday"})
+    assert host.tripped_ns is None
+    host.ended({"trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:01.000000Z"})
+    assert host.tripped_ns == 1_800_000_001_000_000_000
+    host.tell(None)
+    host.tell(STATUS)
+    assert host.tripped_ns is None
+
+
+def test_equal_incidents_are_one_with_a_count():
+    row = IncidentRow(1, "a-1-7", "warning", "SYNC came late", 7 * 10**9, 8 * 10**9, "load", "likely", (), ())
+    rows = [
+        row,
+        replace(row, number=2, key="b", title="other"),
+        replace(row, number=3, key="a-1-3", begin_ns=3 * 10**9),
+    ]
+    rows.append(replace(row, number=4, key="a-1-9", status="unresolved", end_ns=None))
+    shown = incident_dicts(rows)
+    assert [(entry["title"], entry["status"], entry["count"]) for entry in shown] == [
+        ("SYNC came late", "warning", 2),
+        ("other", "warning", 1),
+        ("SYNC came late", "unresolved", 1),
+    ]
+    assert (shown[0]["key"], shown[0]["t"], shown[0]["end"]) == ("a-1-3", 3.0, 8.0)
+    assert shown[2]["end"] is None
+
+
 def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
     host = view()
     host.tell({**STATUS, "trip": "SPEED: too fast"})
     host.tell(None)
     state = host.as_dict()
-    assert (state["runs"], state["trip"], state["advice"]) == (False, "SPEED: too fast", "coulombus help SPEED")
+    assert (state["runs"], state["trip"], state["entry"]) == (False, "SPEED: too fast", "1. Turn the handle.")
     host.tell(STATUS)
     assert host.as_dict()["trip"] == ""
 

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
@@ -16,9 +17,13 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
 
+from coulombus.host.run.control_socket import NoHost, ask_status, host_runs
+from coulombus.host.run.last_word import last_page
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.monitor.web.batch import unpacked
+from coulombus.monitor.web.last_page import LastPage
 from coulombus.recording.reading import read
+from coulombus.wire.address import parse_address
 from real_bench import HOLD, PATIENCE_S, host, result, simulation
 
 pytestmark = [
@@ -34,6 +39,7 @@ class Page:
     """What a browser does with the server's address."""
 
     def __init__(self, url):
+        self.trips = []
         self.url, self.origin = url, url.rpartition("/")[0].rpartition("/")[0]
 
     async def __aenter__(self):
@@ -52,6 +58,9 @@ class Page:
             message = await self.socket.read_message()
             assert message is not None, "the server has closed"
             head, _ = unpacked(message)
+            if "trip_bin" in head:
+                self.trips.append(head["trip_bin"])
+                continue
             await self.socket.write_message(f"took {head['n']}")
             if "state" in head and condition(head):
                 return head
@@ -111,6 +120,13 @@ def test_a_page_changes_the_law_of_a_run_marks_it_and_stops_it(tmp_path):
     assert markers[-1] == "safe"
 
 
+def phases_until_the_end():
+    """Yield the phases that the host tells until it runs no longer."""
+    while host_runs(parse_address(BUS)):
+        with suppress(NoHost):
+            yield ask_status(parse_address(BUS), 1.0)["axes"][0]["phase"]
+
+
 def test_after_a_trip_the_page_stays_and_tells_who_comes_now():
     async def armed(url):
         async with Page(url) as page:
@@ -118,19 +134,32 @@ def test_after_a_trip_the_page_stays_and_tells_who_comes_now():
 
     async def later(url):
         async with Page(url) as page:
-            return (await page.until(lambda head: head["state"]["host"]["trip"]))["state"]["host"]
+            told = (await page.until(lambda head: head["state"]["host"]["trip"]))["state"]["host"]
+            await page.until(lambda head: page.trips)
+            await page.until(lambda head: last_page(address) is not None)
+            return told
 
+    address = parse_address(BUS)
     arguments = ("--web", "--web-port", 0)
     with simulation(BUS, overrides=OVERRIDES), host(BUS, *arguments, seconds=PATIENCE_S, overrides=OVERRIDES) as run:
         url = said(run, ADDRESS)[1]
         asyncio.run(asyncio.wait_for(armed(url), PATIENCE_S))
         nmt = [sys.executable, "-m", "coulombus", "nmt", "stop", "1", "--bus", BUS, "--beside-host"]
         subprocess.run(nmt, check=True, timeout=PATIENCE_S)
+        phases = list(phases_until_the_end())
         said(run, "coulombus: the page stays for 60 s; Ctrl-C ends it")
         told = asyncio.run(asyncio.wait_for(later(url), PATIENCE_S))
-        assert "NMT_STATE" in told["trip"]
-        assert told["entry"].startswith("A node is no longer OPERATIONAL.")
+        assert told["entry"]
+        assert phases.count("safe") > 3  # it answers while the brake is ramped off
         run.send_signal(signal.SIGINT)
         status, data, err = result(run)
     assert status == 7, err
-    assert "NMT_STATE" in data["trip"]
+    assert data["trip"] == told["trip"]
+    assert any(trip in data["trip"] for trip in ("NMT_STATE", "TPDO_LOST"))  # whichever is noticed first
+    last = LastPage.of(last_page(address), "token")
+    assert last.rig_name == "bench"
+    head, rows = unpacked(last.batches[""][0])
+    raw = {part["s"]: row for part, row in zip(head["parts"], rows, strict=True) if part["k"] == "raw"}
+    times = raw["brake.handle_torque_Nm"][0]
+    assert times[0] < -0.45
+    assert times[-1] > 0.15

@@ -108,7 +108,7 @@ def test_the_arm_ends_at_the_tip(rig):
 def test_a_host_that_starts_later_counts_from_its_own_start(rig):
     capture = capture_of(rig, frames_of_a_circle(rig, count=800, still=True))
     track = tip_track(capture)
-    view = HostView(lambda trip: None)
+    view = HostView()
     row = {"phase": "run", "parameters": []}
     view.tell(
         {"axes": [{"axis": "shoulder", "position_rad": 0.01, **row}, {"axis": "elbow", "position_rad": -0.02, **row}]}
@@ -126,7 +126,7 @@ def test_a_host_that_starts_later_counts_from_its_own_start(rig):
 
 
 def test_positions_are_those_of_a_running_host():
-    view = HostView(lambda trip: None)
+    view = HostView()
     assert view.positions() == {}
     view.tell({"axes": [{"axis": "shoulder", "position_rad": 0.25}, {"axis": "elbow", "position_rad": "x"}, 3]})
     assert view.positions() == {"shoulder": 0.25}

@@ -57,7 +57,7 @@ def joined(monkeypatch, **options):
     told, ready, results = Told(), threading.Event(), []
     monkeypatch.setattr("coulombus.sim_bus.server.bridge.StopSignals", lambda: told)
     with tiny_bus("a") as left, tiny_bus("b") as right:
-        thread = threading.Thread(target=lambda: results.append(bridge(A, B, ready=ready.set, **options)))
+        thread = threading.Thread(target=lambda: results.append(bridge(A, B, ready=lambda *_: ready.set(), **options)))
         threads.append(thread)
         thread.start()
         assert ready.wait(PATIENCE_S)

@@ -22,7 +22,8 @@ class Client:
     """One end: frames to receive, and what is sent."""
 
     def __init__(self, kind="coulombus"):
-        self.address, self.waiting, self.sent, self.lost, self.error = BusAddress(kind, "x"), [], [], 0, None
+        self.address, self.waiting, self.sent, self.error = BusAddress(kind, "x"), [], [], None
+        self.lost, self.malformed, self.held = 0, 0, False
 
     def receive(self):
         if self.error:
@@ -30,7 +31,10 @@ class Client:
         found, self.waiting = self.waiting, []
         return [(0, *frame) for frame in found]
 
-    def send(self, message):
+    def hold(self, held):
+        self.held = held
+
+    def send(self, message, stamp_ns=0):
         if self.error:
             raise self.error
         self.sent.append([can_id for can_id, _, _ in CAN_FRAME.iter_unpack(message)])
