@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import runpy
+import shutil
+import subprocess
 import sys
 
 import pytest
@@ -84,6 +86,17 @@ def test_virtual_network(run):
     assert out.count("boot-up of node") == 2
     assert "node 2 is of device type 0x00020192" in out
     assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out
+
+
+@pytest.mark.real_time
+@pytest.mark.patient
+def test_project_for_ci(tmp_path, private_sockets, short_path):
+    project = shutil.copytree(EXAMPLES / "ci", tmp_path / "ci")
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(words, cwd=project, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stdout
+    assert int(done.stdout.split(" passed")[0].split()[-1]) >= 20
+    assert not list((short_path / "coulombus").iterdir())
 
 
 def test_every_study_file_can_be_read():

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import click
 
@@ -41,8 +42,9 @@ def eds() -> None:
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option("--node-id", type=click.IntRange(1, 127), default=1, show_default=True, help="Node id for $NODEID.")
 @click.option("--pdos", is_flag=True, help="Draw every PDO that maps something.")
+@click.option("--sarif", is_flag=True, help="SARIF 2.1.0 to stdout, for code hosts and editors.")
 @json_option
-def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool) -> None:
+def check_command(files: Sequence[str], node_id: int, pdos: bool, sarif: bool, as_json: bool) -> None:
     """Say everything that is wrong with EDS, DCF, XDD or XDC files, and what is assumed instead.
 
     A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an
@@ -56,13 +58,18 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
       coulombus eds check vendor.eds
       coulombus eds check --pdos --node-id 5 eds/motor.eds
       coulombus eds check --json *.eds | jq '.[] | select(.readable | not) | .file'
+      coulombus eds check --sarif *.eds > eds.sarif
     """
     with errors():
+        if as_json and sarif:
+            raise click.UsageError("--json and --sarif: choose one form of the output")
         results = [_check(file, node_id) for file in files]
         with verdict(READABLE if all(result["readable"] for result in results) else REFUSED):
             if as_json:
                 kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
                 echo(json.dumps(kept, indent=2))
+            elif sarif:
+                echo(json.dumps(_sarif(results), indent=2))
             else:
                 for result in results:
                     _print(result, pdos)
@@ -235,6 +242,27 @@ def _check(file: str, node_id: int) -> dict[str, Any]:
         "refused": [_refusal(file, text) for text in report.refusals],
         "drawn": [_drawing(pdo) for pdo in report.pdos if pdo.entries],
     }
+
+
+def _sarif(results: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the results as a log of SARIF 2.1.0 (OASIS): a rule for each severity; "refused" is an error, too."""
+    from importlib.metadata import version
+
+    entries = []
+    for result in results:
+        file = {"uri": quote(Path(result["file"]).as_posix())}
+        rows = [(d["severity"], d["line"], f"{d['text']}; assumed {d['assumed']}") for d in result["diagnoses"]]
+        rows += [("refused", r["line"], r["text"]) for r in result["refused"]]
+        for severity, line, text in rows:
+            place: dict[str, Any] = {"artifactLocation": file}
+            place |= {} if line is None else {"region": {"startLine": line}}
+            level = "warning" if severity == "warning" else "error"
+            entry = {"ruleId": severity, "level": level, "message": {"text": text}}
+            entries.append({**entry, "locations": [{"physicalLocation": place}]})
+    rules = [{"id": severity} for severity in ("warning", "error", "refused")]
+    tool = {"driver": {"name": "coulombus eds check", "version": version("coulombus"), "rules": rules}}
+    schema = "https://json.schemastore.org/sarif-2.1.0.json"
+    return {"$schema": schema, "version": "2.1.0", "runs": [{"tool": tool, "results": entries}]}
 
 
 def _drawing(pdo: PdoLayout) -> str:

@@ -36,9 +36,9 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
 
-__all__ = ["Row", "as_json", "as_text", "bare_rows", "fitted", "rows", "text_lines"]
+__all__ = ["BareDecoder", "Row", "as_json", "as_text", "bare_rows", "fitted", "rows", "text_lines"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
@@ -199,18 +199,33 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    services, maps, pdos = _Services(None), LogMaps(eds), dict[int, RigPdo]()
-    epoch_ns = None
+    decoder, epoch_ns = BareDecoder(eds), None
     for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
         epoch_ns = capture.origin_ns if epoch_ns is None else epoch_ns
-        for start in range(0, len(capture.frames), LEARNED):
-            frames = capture.frames[start : start + LEARNED]
-            if maps.take(frames):
+        for i, row in enumerate(decoder.rows(capture.frames, epoch_ns or 0)):
+            if i in comments:
+                row["marker"] = comments[i].replace("\n", "; ")
+            yield row
+        yield from _late_rows(capture, epoch_ns or 0)
+
+
+class BareDecoder:
+    """Decodes frames without a rig, as they come: an SDO transfer and a PDO's map depend on those before."""
+
+    def __init__(self, eds: EdsFiles) -> None:
+        self._services, self._maps, self._pdos = _Services(None, eds), LogMaps(eds), dict[int, RigPdo]()
+
+    def rows(self, frames: Records, epoch_ns: int = 0) -> Iterator[Row]:
+        """Yield one dict for each frame; `epoch_ns` is the time 0 of `t_s`."""
+        maps, pdos = self._maps, self._pdos
+        for start in range(0, len(frames), LEARNED):
+            part = frames[start : start + LEARNED]
+            if maps.take(part):
                 pdos.clear()
-            columns = ((frames["t_ns"] - (epoch_ns or 0)) / 1e9, frames["can_id"], frames["length"], frames["word"])
-            for i, (t_s, can_id, length, word) in enumerate(zip(*(c.tolist() for c in columns), strict=True), start):
-                row = services.row(t_s, can_id, length, word)
+            columns = ((part["t_ns"] - epoch_ns) / 1e9, part["can_id"], part["length"], part["word"])
+            for t_s, can_id, length, word in zip(*(c.tolist() for c in columns), strict=True):
+                row = self._services.row(t_s, can_id, length, word)
                 known = maps.pdo(can_id)
                 if known is not None:
                     row |= {"node": str(known.node), "pdo": known.name, "service": "pdo"}
@@ -218,10 +233,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
                         pdos[can_id] = maps.rig_pdo(known)
                     row |= _objects(pdos[can_id], word, length)
                     row |= {"map": "assumed"} if known.source == "assumed" else {}
-                if i in comments:
-                    row["marker"] = comments[i].replace("\n", "; ")
                 yield row
-        yield from _late_rows(capture, epoch_ns or 0)
 
 
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
@@ -234,12 +246,15 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
 
 
 class _Services:
-    """Decodes frames other than the rig's PDOs; without a rig, every frame."""
+    """Decodes frames other than the rig's PDOs; without a rig, every frame, with the names of EDS files."""
 
-    def __init__(self, rig: Rig | None) -> None:
+    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
         nodes = () if rig is None else rig.nodes
         self._names = ({} if rig is None else {rig.host.node_id: "host"}) | {node.node_id: node.name for node in nodes}
         self._descriptions: dict[str, Description] = {node.name: node.description for node in nodes}
+        self._descriptions |= {
+            str(node_id): description for node_id, description in (eds or EdsFiles()).of_nodes.items()
+        }
         self._emergencies = {node.emcy_id: node.name for node in nodes}
         self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if rig is None else rig.pdos())}
         self._servers: dict[int, SdoChannel] = {}

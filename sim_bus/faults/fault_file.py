@@ -58,6 +58,7 @@ __all__ = [
     "OnFrame",
     "Reset",
     "Trigger",
+    "faults_of",
     "read_faults",
 ]
 
@@ -387,6 +388,17 @@ def read_faults(path: Path) -> FaultPlan:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise FaultError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
+    return faults_of(text, str(path))
+
+
+def faults_of(text: str, path: str) -> FaultPlan:
+    """Return the faults of a fault file's text; errors name it `path`.
+
+    Raises
+    ------
+    FaultError
+        the text has mistakes, a line for each
+    """
     document = read_toml(text)
     if document.problems:
         raise FaultError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
@@ -395,13 +407,11 @@ def read_faults(path: Path) -> FaultPlan:
     try:
         file = TypeAdapter(_File).validate_python(document.values)
     except ValidationError as error:
-        raise FaultError(
-            "\n".join(mistakes(str(path), document, error, _File, get_args(get_args(AnyFault)[0])))
-        ) from None
+        raise FaultError("\n".join(mistakes(path, document, error, _File, get_args(get_args(AnyFault)[0])))) from None
     if len(file.fault) > MAX_FAULTS:
         line = document.line(("fault", MAX_FAULTS))
         raise FaultError(f"{path}:{line}: {len(file.fault)} faults; a file may have {MAX_FAULTS}")
     if not file.fault and not file.controller:
         raise FaultError(f"{path}: it has no fault; expected [[fault]] or [[controller]], once for each (docs/bus.md)")
     lines = tuple(document.line(("fault", n)) for n in range(len(file.fault)))
-    return FaultPlan(str(path), file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))
+    return FaultPlan(path, file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))

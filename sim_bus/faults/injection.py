@@ -24,14 +24,13 @@ from coulombus.wire.clock import set_clock
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.network import VirtualNetwork
-    from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 __all__ = ["Injection", "controllers_of", "stations_of"]
 
 
-def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
-    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake``, sensors
-    (``AXIS.motor`` with several axes) and ``host``.
+def stations_of(world: VirtualNetwork) -> tuple[dict[str, int], dict[int, int]]:
+    """Return the stations of a bus by name and by node id: of a rig ``motor``, ``brake``, sensors
+    (``AXIS.motor`` with several axes), of other nodes the node id as text; and ``host``.
 
     If the host is another process, it is one of the clients, and ``host`` means all clients.
     """
@@ -40,7 +39,7 @@ def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
 
 
 class Injection:
-    """Injects the faults of `plan` on the bus of `world`, from now on.
+    """Injects the faults of `plan` on the bus of `world`, from now on: its times count from now.
 
     `on_fault` is called with the time and a text for each injection, before the frames around it
     are delivered.
@@ -52,7 +51,7 @@ class Injection:
     """
 
     def __init__(
-        self, world: VirtualRig, plan: FaultPlan, seed: int, on_fault: Callable[[int, str], None] | None = None
+        self, world: VirtualNetwork, plan: FaultPlan, seed: int, on_fault: Callable[[int, str], None] | None = None
     ) -> None:
         if int(world.bus["bit_rate"][0]) == 0:
             raise FaultError(f"{plan.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
@@ -61,10 +60,14 @@ class Injection:
         self._drifts: dict[int, int] = {}  # by station: the fault that causes its clock drift
         detach(self._bus, TAP)
         world.keep_sent()
-        self._later = install(self._bus, plan, seed, *stations_of(world))
+        now_ns = world.t_ns
+        self._later = install(self._bus, plan, seed, *stations_of(world), now_ns)
+        if self._later and not len(world.axes):
+            key = ("fault", plan.faults[self._later[0][0]], "after")
+            raise plan.mistake(key, "this bus has no rig whose drive is enabled; leave it out")
         for row, fault in enumerate(plan.file.fault):
             if fault.after == "start":
-                self._plan(row, round(fault.at_s * 1e9))
+                self._plan(row, now_ns + round(fault.at_s * 1e9))
             if fault.kind == "drift" and self._bus.faults[row].station == CLIENTS:
                 raise plan.mistake(
                     ("fault", plan.faults[row], "node"), "the host is another process here, with a clock of its own"
@@ -165,7 +168,7 @@ class Injection:
         return [asdict(result) for result in injections(rows, self.plan)]
 
 
-def controllers_of(world: VirtualRig) -> dict[str, dict[str, Any]]:
+def controllers_of(world: VirtualNetwork) -> dict[str, dict[str, Any]]:
     """Return the CAN controllers' states and counters by node, for JSON.
 
     If clients act as the host: their worst state, and the sums.

@@ -131,7 +131,12 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
 
 
 def install(
-    bus: BusRecord, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
+    bus: BusRecord,
+    plan: FaultPlan,
+    seed: int,
+    stations: Mapping[str, int],
+    node_ids: Mapping[int, int],
+    now_ns: int = 0,
 ) -> list[tuple[int, int]]:
     """Write the faults of a file to the bus's table.
 
@@ -142,6 +147,7 @@ def install(
     bus : the record of `sim_bus.can_bus.records.BusRecord`
     seed : of the noise, if the file has none
     stations, node_ids : stations by name and by node id
+    now_ns : present time of the bus, from which the faults' times count
 
     Raises
     ------
@@ -176,7 +182,7 @@ def install(
             row.until_ns = length_ns
             later.append((n, round(fault.at_s * 1e9)))
         else:
-            _begin(row, round(fault.at_s * 1e9), length_ns)
+            _begin(row, now_ns + round(fault.at_s * 1e9), length_ns)
     bus.fault_count = len(plan.file.fault)
     for station in stations.values():
         bus.stations["restart_ns"][_rows(station)] = RESTART_MS * 1_000_000
@@ -193,7 +199,7 @@ def install(
             c[name][rows] = getattr(given, name)
         if station != CLIENTS:
             c["listen_only"][rows] = given.listen_only
-    plan_alarm(bus, 0)
+    plan_alarm(bus, now_ns)
     refresh(bus)
     return later
 

@@ -181,6 +181,8 @@ class VirtualNetwork:
         self.injection: FaultSource | None = None
         self.opened: tuple[str, ...] = ()
         """Changes of the devices from their EDS files, a line each (`node.relaxed_eds`)."""
+        self.rows: dict[str, int] = {}
+        """Row of each device by its name, here its node id."""
         self.on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []
@@ -253,6 +255,7 @@ class VirtualNetwork:
         a_number(node_id, "node_id", "5", whole=True)
         description = eds if isinstance(eds, Description) else read_eds(Path(path_text(eds, "eds", 'add("my.eds", 5)')))
         self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
+        self.rows[str(node_id)] = row
         return self.devices[row]
 
     def place(self, station: int, bus: int) -> None:
@@ -308,6 +311,18 @@ class VirtualNetwork:
     def t_ns(self) -> int:
         """Present time in ns."""
         return int(self._world["t_ns"][0])
+
+    @property
+    def has_host(self) -> bool:
+        """Whether the host is part of this process."""
+        return False
+
+    def keep_sent(self) -> None:
+        """Store the host's requested frames from now on: a fault may drop them on the bus."""
+        self._world["keep_sent"] = 1
+
+    def set_host_clock(self, ppb: int) -> None:
+        """Let the host's clock run fast by `ppb` (1e-9) from now on; a network without a host has none."""
 
     @property
     def plain(self) -> bool:

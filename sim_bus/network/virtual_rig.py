@@ -147,7 +147,7 @@ class VirtualRig(VirtualNetwork):
             rows[device.node_id] = (len(rows), added)
             self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
         self._rows = [{stand_in.node: rows[stand_in.node_id] for stand_in in group} for group in devices]
-        self.rows: dict[str, int] = {
+        self.rows = {
             axis.prefix + node: row
             for axis, by_node in zip(rig.axes, self._rows, strict=True)
             for node, (row, _) in by_node.items()
@@ -276,10 +276,6 @@ class VirtualRig(VirtualNetwork):
         f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))
 
     # data for a replay of the host besides the frames
-
-    def keep_sent(self) -> None:
-        """Store the host's requested frames from now on: a fault may drop them on the bus."""
-        self._world["keep_sent"] = 1
 
     def keep_told(self) -> None:
         """Store the host's telemetry of each cycle from now on (`host.cycle.telemetry`)."""

@@ -148,7 +148,7 @@ class LiveNodes:
         """Return the network with only the nodes; a trial network stores and reports nothing."""
         network = VirtualNetwork(bit_rate, capacity=len(self.eds))
         if trial:
-            self._devices(network, Store)
+            self.add_to(network)
             return network
         devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
         own = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
@@ -165,6 +165,10 @@ class LiveNodes:
 
         network.station(heard, hear)
         return network
+
+    def add_to(self, network: VirtualNetwork) -> list[Device]:
+        """Add the nodes to a network, without their `store`; they are off, and report nothing."""
+        return self._devices(network, Store)
 
     def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
         devices = []

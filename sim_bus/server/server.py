@@ -13,9 +13,12 @@ import errno
 import os
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TypeVar
 
 from coulombus.kernels.decorator import Entry
 from coulombus.sim_bus.network.network import VirtualNetwork
@@ -40,6 +43,8 @@ __all__ = ["BusServer"]
 FOREVER_NS = 1 << 62
 RECORD_FRAMES = 256
 SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK = 101, 2, 0x1FFFFFFF
+
+_T = TypeVar("_T")
 
 
 class BusServer:
@@ -94,6 +99,8 @@ class BusServer:
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._worker = Worker(self.world, self._wake, self.stop, on=beside)
         self._inodes: dict[Path, int] = {}
+        self._calls: deque[tuple[Future[object], Callable[[], object]]] = deque()
+        self._ended = False
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
         self._load()
         warm_up(make_world(self.bit_rate, True))
@@ -131,8 +138,36 @@ class BusServer:
 
     def stop(self) -> None:
         """End `run` soon; may be called from another thread or a signal handler."""
+        self._ended = True
+        self._interrupt()
+
+    def call(self, action: Callable[[], _T]) -> Future[_T]:
+        """Perform `action` on the world between two events, in the thread of `run`; may be called from another
+        thread.
+
+        The frames before it have been passed to `on_frames`. The future is cancelled if `run` ends first.
+        """
+        future: Future[_T] = Future()
+        self._calls.append((future, action))  # type: ignore[arg-type]  # a future of any result
+        self._interrupt()
+        return future
+
+    def _interrupt(self) -> None:
+        """Let the loop return to Python."""
         self._pace["stop"] = 1
         os.eventfd_write(self._wake, 1)
+
+    def _perform_calls(self) -> None:
+        """Perform the actions of other threads; an exception belongs to the caller."""
+        self._pace["stop"] = int(self._ended)  # first, so that a call that comes meanwhile sets it again
+        with self._worker.whole():
+            self._record()
+            while self._calls:
+                future, action = self._calls.popleft()
+                try:
+                    future.set_result(action())
+                except Exception as error:
+                    future.set_exception(error)
 
     def run(
         self,
@@ -164,10 +199,12 @@ class BusServer:
             pace["end_ns"] = round(seconds * 1e9)
         world.power_on()
         self._worker.to_loop()
-        while (why := self._serve()) not in (Serve.STOP, Serve.TIME, Need.GONE):
-            if self._worker.failure is not None:
+        while (why := self._serve()) not in (Serve.TIME, Need.GONE):
+            if self._worker.failure is not None or (why == Serve.STOP and self._ended):
                 break
-            if why == Serve.ACCEPT:
+            if why == Serve.STOP:
+                self._perform_calls()
+            elif why == Serve.ACCEPT:
                 self._admission.accept()
             elif why == Need.MESSAGE:
                 self._admission.greeted(int(pace["slot"][0]))
@@ -190,6 +227,8 @@ class BusServer:
                     world.answer(why)
         with self._worker.whole():
             self._record()
+        while self._calls:
+            self._calls.popleft()[0].cancel()
         if self._worker.failure is not None:
             raise self._worker.failure
         if why == Need.GONE and not self.joined:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from eds_text import HEAD, variable
+from places import ROOT
 
 PDO = (
     "[1400]\nParameterName=R\nObjectType=9\nSubNumber=1\n[1400sub0]\nParameterName=N\nDataType=5\nAccessType=const\nDefaultValue=0\n"
@@ -123,3 +125,38 @@ def test_a_mandatory_object_that_is_missing_is_told(run, tmp_path):
         "bare.eds:1: warning: 1018h is not described, which every CANopen device has; assumed a device without it\n"
         in out
     )
+
+
+def test_sarif(run):
+    status, out = run("--sarif", "good.eds", "odd.eds", "bad.eds", "a missing.eds")
+    log = json.loads(out)
+    assert (status, log["version"]) == (3, "2.1.0")
+    (ran,) = log["runs"]
+    rules = [rule["id"] for rule in ran["tool"]["driver"]["rules"]]
+    assert {result["ruleId"] for result in ran["results"]} <= set(rules)
+    places = [result["locations"][0]["physicalLocation"] for result in ran["results"]]
+    uris = [place["artifactLocation"]["uri"] for place in places]
+    assert "good.eds" not in uris
+    assert (uris[0], uris[-1]) == ("odd.eds", "a%20missing.eds")
+    first, last, refused = ran["results"][0], ran["results"][-1], ran["results"][-2]
+    line = (HEAD + variable(DefaultValue="007")).split("\n").index("DefaultValue=007") + 1
+    assert places[0]["region"] == {"startLine": line}
+    assert (first["level"], first["message"]["text"]) == (
+        "warning",
+        "[2000] DefaultValue=007 is zero-padded; assumed 7",
+    )
+    assert (refused["ruleId"], refused["level"], uris[-2]) == ("refused", "error", "bad.eds")
+    assert (last["ruleId"], "region" in places[-1]) == ("refused", False)
+
+
+def test_one_form_of_output(run):
+    status, out = run("--sarif", "--json", "good.eds")
+    assert (status, "choose one form" in out) == (2, True)
+
+
+def test_hook_of_pre_commit():
+    entries = dict(re.findall(r"^[- ] (\w+): (.*)$", (ROOT / ".pre-commit-hooks.yaml").read_text(), re.M))
+    matches = [bool(re.search(entries["files"], name)) for name in ("a.eds", "b/DRIVE.XDD", "c.dcf", "d.xdc", "eds.py")]
+    assert matches == [True] * 4 + [False]
+    result = CliRunner().invoke(main, [*entries["entry"].split()[1:], str(ROOT / "examples/ci/drive.eds")])
+    assert result.exit_code == 0

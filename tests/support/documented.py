@@ -41,6 +41,7 @@ RULES = (
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),
     (r": (make|git|pip|python3 -m venv|scripts/ci)", "installs or tests this checkout: .ci/run does the same"),
+    (r": python -m pytest examples/ci", "run by tests/test_examples.py"),
     (r": .*(-m pytest|scripts/mutate)", "runs tests within tests: .ci/run and docs/safety.md have the runs"),
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
     (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` does it"),
