@@ -21,14 +21,14 @@ __all__ = [
     "COORDINATED",
     "HANDLER",
     "STEP_HANDLER",
-    "ControllerEnds",
+    "ControllerFunctions",
     "ErrorStateEvent",
     "FrameEvent",
     "FrameRequest",
     "Head",
     "LifecycleConfiguration",
     "ModeRequest",
-    "NetworkEnds",
+    "NetworkFunctions",
     "RateRequest",
     "Receivers",
     "SilKit",
@@ -139,7 +139,7 @@ class Receivers(Head):
     _fields_: ClassVar[Any] = [("count", ct.c_size_t), ("descriptors", ct.POINTER(ct.c_uint64))]
 
 
-class ControllerEnds(Head):
+class ControllerFunctions(Head):
     """Functions of a simulated controller, called with its pointer."""
 
     KIND = NETWORK_SIMULATION, 3, 1
@@ -149,7 +149,7 @@ class ControllerEnds(Head):
     _fields_: ClassVar[Any] = [("on_rate", RATE), ("on_frame", FRAME), ("on_mode", MODE)]
 
 
-class NetworkEnds(Head):
+class NetworkFunctions(Head):
     """Functions of a simulated network: a controller appears or leaves; the way to send events."""
 
     KIND = NETWORK_SIMULATION, 2, 1

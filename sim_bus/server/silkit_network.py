@@ -27,12 +27,12 @@ from coulombus.sim_bus.server.silkit_interface import (
     COORDINATED,
     HANDLER,
     STEP_HANDLER,
-    ControllerEnds,
+    ControllerFunctions,
     ErrorStateEvent,
     FrameEvent,
     Head,
     LifecycleConfiguration,
-    NetworkEnds,
+    NetworkFunctions,
     Receivers,
     SilKit,
     SilKitError,
@@ -74,6 +74,7 @@ class SilKitNetwork:
     ----------
     registry : as ``silkit://127.0.0.1:8500``
     name : of this participant; the system controller must require it
+    host : this PC's address for connections of the other participants; SIL Kit has no password
     step_ns : time between two steps; the other participants' steps are multiples of it
 
     Raises
@@ -91,6 +92,7 @@ class SilKitNetwork:
         can_network: str = "CAN1",
         *,
         name: str = "Coulombus",
+        host: str = "127.0.0.1",
         step_ns: int = 1_000_000,
     ) -> None:
         self._bit_s = int(network.bus[0]["bit_rate"])
@@ -106,7 +108,8 @@ class SilKitNetwork:
         self._begun_ns: int | None = None
         self._t_ns = 0
         """Time of the step that comes next on the bus."""
-        self._silkit, self._name, self._registry, self._can_network = SilKit(), name, registry, can_network
+        self._silkit, self._host = SilKit(), host
+        self._name, self._registry, self._can_network = name, registry, can_network
 
     def run(self, patience_s: float = 60.0) -> None:
         """Join the simulation, simulate until it is stopped or aborted, and leave it.
@@ -117,9 +120,12 @@ class SilKitNetwork:
             the registry is not reached, or no step came for `patience_s`
         """
         silkit, name, registry = self._silkit, self._name.encode(), self._registry.encode()
-        configuration = silkit.make("ParticipantConfiguration_FromString", b"")
+        text = f'{{"Middleware": {{"AcceptorUris": ["tcp://{self._host}:0"]}}}}'
+        configuration = silkit.make("ParticipantConfiguration_FromString", text.encode())
         try:
             participant = silkit.make("Participant_Create", configuration, name, registry)
+        except SilKitError as error:
+            raise SilKitError(f"{self._registry}: {error}") from None
         finally:
             silkit.call("ParticipantConfiguration_Destroy", configuration)
         try:
@@ -131,26 +137,27 @@ class SilKitNetwork:
 
     def _simulate(self, participant: ct.c_void_p, patience_s: float) -> None:
         """Announce the network, and act on SIL Kit's calls until the end."""
-        silkit, work, none = self._silkit, self._work, ct.c_void_p()
-        ends = self._network_ends(self._controller_ends())
+        silkit, work = self._silkit, self._work
+        functions = self._network_functions(self._controller_functions())
         simulator = silkit.make("Experimental_NetworkSimulator_Create", participant)
         announce = "Experimental_NetworkSimulator_SimulateNetwork"
-        silkit.call(announce, simulator, self._can_network.encode(), CAN_NETWORK, ct.c_void_p(1), ends)
+        silkit.call(announce, simulator, self._can_network.encode(), CAN_NETWORK, ct.c_void_p(1), functions)
         silkit.call("Experimental_NetworkSimulator_Start", simulator)
         lifecycle = silkit.make("LifecycleService_Create", participant, LifecycleConfiguration(COORDINATED))
         clock = silkit.make("TimeSyncService_Create", lifecycle)
         begun, agreed, ended = STEP_HANDLER(self._begin), HANDLER(self._agreed), HANDLER(lambda *_: work.put(None))
         agree = "Experimental_TimeSyncService_AddOtherSimulationStepsCompletedHandler"
-        silkit.call("TimeSyncService_SetSimulationStepHandlerAsync", clock, none, begun, ct.c_uint64(self._step_ns))
-        silkit.call(agree, clock, none, agreed, ct.byref(ct.c_uint64()))
-        silkit.call("LifecycleService_SetShutdownHandler", lifecycle, none, ended)
-        silkit.call("LifecycleService_SetAbortHandler", lifecycle, none, ended)
+        silkit.call("TimeSyncService_SetSimulationStepHandlerAsync", clock, None, begun, ct.c_uint64(self._step_ns))
+        silkit.call(agree, clock, None, agreed, ct.byref(ct.c_uint64()))
+        silkit.call("LifecycleService_SetShutdownHandler", lifecycle, None, ended)
+        silkit.call("LifecycleService_SetAbortHandler", lifecycle, None, ended)
         silkit.call("LifecycleService_StartLifecycle", lifecycle)
         while (action := work.get(timeout=patience_s)) is not None:
             act, *arguments = action
             act(*arguments)
             if act == self._step:
                 silkit.call("TimeSyncService_CompleteSimulationStep", clock)
+        silkit.call("LifecycleService_WaitForLifecycleToComplete", lifecycle, ct.byref(ct.c_int16()))
 
     # SIL Kit's threads
 
@@ -162,32 +169,32 @@ class SilKitNetwork:
             self._work.put((self._step, self._begun_ns))
             self._begun_ns = None
 
-    def _controller_ends(self) -> ControllerEnds:
+    def _controller_functions(self) -> ControllerFunctions:
         def on_frame(descriptor: int, request: Any) -> None:
             frame = request[0].frame[0]
             data = ct.string_at(frame.data, frame.size) if frame.size else b""
             work.put((self._request, descriptor, frame.can_id, frame.flags, frame.dlc, data, request[0].context))
 
         work = self._work
-        return ControllerEnds(
-            ControllerEnds.RATE(lambda descriptor, rate: work.put((self._set, descriptor, None, rate[0].bit_s))),
-            ControllerEnds.FRAME(on_frame),
-            ControllerEnds.MODE(lambda descriptor, mode: work.put((self._set, descriptor, mode[0].state, None))),
+        return ControllerFunctions(
+            ControllerFunctions.RATE(lambda descriptor, rate: work.put((self._set, descriptor, None, rate[0].bit_s))),
+            ControllerFunctions.FRAME(on_frame),
+            ControllerFunctions.MODE(lambda descriptor, mode: work.put((self._set, descriptor, mode[0].state, None))),
         )
 
-    def _network_ends(self, ends: ControllerEnds) -> NetworkEnds:
+    def _network_functions(self, of_controller: ControllerFunctions) -> NetworkFunctions:
         def appears(controller: Any, functions: Any, descriptor: int, _: Any) -> None:
-            controller[0], functions[0] = descriptor, ct.addressof(ends)
+            controller[0], functions[0] = descriptor, ct.addressof(of_controller)
             work.put((self._add, descriptor))
 
         def producer(address: int, _: Any) -> None:
             self._producer = ct.c_void_p(address)
 
         work = self._work
-        return NetworkEnds(
-            NetworkEnds.APPEARS(appears),
-            NetworkEnds.LEAVES(lambda descriptor, _: work.put((self._leave, descriptor))),
-            NetworkEnds.PRODUCER(producer),
+        return NetworkFunctions(
+            NetworkFunctions.APPEARS(appears),
+            NetworkFunctions.LEAVES(lambda descriptor, _: work.put((self._leave, descriptor))),
+            NetworkFunctions.PRODUCER(producer),
         )
 
     # the thread of `run`
@@ -288,14 +295,13 @@ class SilKitNetwork:
         c.contexts.clear()
 
     def _report(self, c: SimulatedController, t_ns: int) -> None:
-        """Send a controller its states.
+        """Send a controller its state and error state.
 
-        SIL Kit sends each of the two with the last one of the other kind, whosever that was. So the
-        first event has no receiver.
+        SIL Kit sends an error state together with the last produced state, whosever that was. So
+        the state is produced first, for nobody.
         """
         self._produce(StateEvent(t_ns, c.state))
         self._produce(ErrorStateEvent(t_ns, c.error_state), c)
-        self._produce(StateEvent(t_ns, c.state), c)
 
     def _produce(self, event: Head, *receivers: SimulatedController) -> None:
         descriptors = (ct.c_uint64 * max(1, len(receivers)))(*(c.descriptor for c in receivers))

@@ -26,7 +26,7 @@ from node_bench import EDS
 MS = 1_000_000
 PATIENCE_S = 60.0
 EXTENDED, REMOTE = SilKitFrame.EXTENDED, SilKitFrame.REMOTE
-TRANSMITTED, CANCELED = c.TransmitEvent.TRANSMITTED, c.TransmitEvent.CANCELED
+TRANSMITTED, CANCELED, QUEUE_FULL = 1, 2, 4
 ACTIVE, PASSIVE, BUS_OFF = c.ErrorStateEvent.ACTIVE, c.ErrorStateEvent.PASSIVE, c.ErrorStateEvent.BUS_OFF
 
 
@@ -55,12 +55,14 @@ class Participant:
 
     def __init__(self, silkit, name, uri, plan, last_step=None):
         self.silkit, self.plan, self.last_step = silkit, plan, last_step
-        self.frames, self.sent, self.error_states, self.ended = [], [], [], threading.Event()
+        self.frames, self.sent, self.states, self.error_states = [], [], [], []
+        self.ended = threading.Event()
         self.participant = silkit.make("Participant_Create", configuration(silkit), name, uri)
         self.controller = silkit.make("CanController_Create", self.participant, b"can", b"CAN1")
         self.kept = []
         self.add("AddFrameHandler", c.FrameEvent, self.on_frame, ct.c_uint8(3))
         self.add("AddFrameTransmitHandler", c.TransmitEvent, self.on_sent, ct.c_int32(7))
+        self.add("AddStateChangeHandler", c.StateEvent, lambda e: self.states.append((e.t_ns, e.state)))
         self.add("AddErrorStateChangeHandler", c.ErrorStateEvent, lambda e: self.error_states.append((e.t_ns, e.state)))
         life = self.life = silkit.make("LifecycleService_Create", self.participant, c.LifecycleConfiguration(10))
         clock = silkit.make("TimeSyncService_Create", life)
@@ -96,7 +98,9 @@ class Participant:
 
 
 def configuration(silkit):
-    return silkit.make("ParticipantConfiguration_FromString", b"Logging: {Sinks: []}")
+    return silkit.make(
+        "ParticipantConfiguration_FromString", b'{"Middleware": {"AcceptorUris": ["tcp://127.0.0.1:0"]}}'
+    )
 
 
 @contextmanager
@@ -124,8 +128,9 @@ def simulate(network, plan_a, plan_b, last_step):
             a, b = Participant(silkit, b"A", uri, plan_a, last_step), Participant(silkit, b"B", uri, plan_b)
             made += [a.participant, b.participant]
             SilKitNetwork(network, uri.value.decode()).run(PATIENCE_S)
-            assert a.ended.wait(PATIENCE_S)
-            assert b.ended.wait(PATIENCE_S)
+            for participant in (a, b):
+                assert participant.ended.wait(PATIENCE_S)
+                silkit.call("LifecycleService_WaitForLifecycleToComplete", participant.life, ct.byref(ct.c_int16()))
         finally:
             for participant in made[::-1]:
                 silkit.call("Participant_Destroy", participant)
@@ -258,17 +263,23 @@ def test_a_device_of_the_bus_answers_and_a_controller_of_another_bit_rate_is_off
     network.power_on()
     upload = (0x605, 0, 8, bytes.fromhex("4018100100000000"), 1)
     fd, remote = (0x10, 1 << 12, 8, bytes(8), 2), (0x11, REMOTE, 3, b"", 3)
-    plan_a = {1: [("SetBaudRate", 500_000, 0, 0), ("Start",)], 2: [upload, fd, remote]}
+    plan_a = {
+        1: [("SetBaudRate", 500_000, 0, 0), ("Start",)],
+        2: [upload, fd, remote],
+        10: [(0x20, 0, 0, b"", 5)] * 520,
+    }
     plan_b = {1: [("SetBaudRate", 250_000, 0, 0), ("Start",)], 2: [(0x12, 0, 0, b"", 4)]}
     a, b = simulate(network, plan_a, plan_b, 20)
-    assert [(can_id, flags, dlc) for _, can_id, flags, dlc, _ in a.frames] == [
+    assert [(can_id, flags, dlc) for _, can_id, flags, dlc, _ in a.frames[:4]] == [
         (0x705, 0, 1),
         (0x11, REMOTE, 3),
         (0x605, 0, 8),
         (0x585, 0, 8),
     ]
-    assert a.frames[-1][-1].startswith(bytes.fromhex("43181001"))
-    assert [row[1:] for row in a.sent] == [(0x10, CANCELED, 2), (0x11, TRANSMITTED, 3), (0x605, TRANSMITTED, 1)]
+    assert a.frames[3][-1].startswith(bytes.fromhex("43181001"))
+    assert [row[1:] for row in a.sent[:3]] == [(0x10, CANCELED, 2), (0x11, TRANSMITTED, 3), (0x605, TRANSMITTED, 1)]
+    assert [row for row in a.sent if row[2] == QUEUE_FULL] == [(10 * MS, 0x20, QUEUE_FULL, 5)] * 8
+    assert a.states == b.states == [(MS, c.StateEvent.STARTED)]
     assert b.frames == []
     assert b.sent == [(2 * MS, 0x12, CANCELED, 4)]
 
@@ -280,7 +291,7 @@ def test_without_the_others_and_without_a_registry_it_ends():
         pytest.raises(SilKitError, match=r"no step of the simulation for 0.2 s"),
     ):
         SilKitNetwork(VirtualNetwork(), uri.value.decode()).run(0.2)
-    with pytest.raises(SilKitError, match="SilKit_Participant_Create returned"):
+    with pytest.raises(SilKitError, match=r"silkit://127\.0\.0\.1:\d+: SilKit_Participant_Create returned"):
         SilKitNetwork(VirtualNetwork(), uri.value.decode()).run(PATIENCE_S)
 
 
