@@ -106,6 +106,7 @@ class SilKitNetwork:
         self._work: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
         self._producer = ct.c_void_p()
         self._begun_ns: int | None = None
+        self._called: Any = None
         self._t_ns = 0
         """Time of the step that comes next on the bus."""
         self._silkit, self._host = SilKit(), host
@@ -138,7 +139,7 @@ class SilKitNetwork:
     def _simulate(self, participant: ct.c_void_p, patience_s: float) -> None:
         """Announce the network, and act on SIL Kit's calls until the end."""
         silkit, work = self._silkit, self._work
-        functions = self._network_functions(self._controller_functions())
+        functions = self._called = self._network_functions(self._controller_functions())
         simulator = silkit.make("Experimental_NetworkSimulator_Create", participant)
         announce = "Experimental_NetworkSimulator_SimulateNetwork"
         silkit.call(announce, simulator, self._can_network.encode(), CAN_NETWORK, ct.c_void_p(1), functions)
@@ -146,6 +147,7 @@ class SilKitNetwork:
         lifecycle = silkit.make("LifecycleService_Create", participant, LifecycleConfiguration(COORDINATED))
         clock = silkit.make("TimeSyncService_Create", lifecycle)
         begun, agreed, ended = STEP_HANDLER(self._begin), HANDLER(self._agreed), HANDLER(lambda *_: work.put(None))
+        self._called = functions, begun, agreed, ended  # SIL Kit may call them until the participant is destroyed
         agree = "Experimental_TimeSyncService_AddOtherSimulationStepsCompletedHandler"
         silkit.call("TimeSyncService_SetSimulationStepHandlerAsync", clock, None, begun, ct.c_uint64(self._step_ns))
         silkit.call(agree, clock, None, agreed, ct.byref(ct.c_uint64()))
