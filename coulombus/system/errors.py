@@ -66,6 +66,7 @@ CoulombusError
 +-- RunEnded                     n   host.commission.session
 +-- SameBus                      2   sim_bus.server.bridge        ValueError
 +-- ScriptError                  3   sim_bus.network.script       ValueError
++-- SilKitError                  4   sim_bus.server.silkit_interface
 +-- SpanError                    2   recording.span
 +-- StudyError                   3   lab.study.study              ValueError
 +-- StudyFolderError             2   lab.study.study_folder       ValueError
