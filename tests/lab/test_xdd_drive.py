@@ -106,5 +106,5 @@ def test_a_simulated_device_keeps_an_eds_in_1021h(folder):
     link = DevicesLink()
     link.add(read_eds("drive.xdd"), 5)
     stored = SdoClient(link, 5, 1.0).upload(0x1021, 0)
-    assert stored.startswith(b"[MandatoryObjects]")
+    assert stored.startswith(b"[FileInfo]")
     assert parse_eds(stored, "1021h.eds").objects.keys() == read_eds("drive.xdd").objects.keys()
