@@ -20,7 +20,7 @@ __all__ = ["dbc"]
 @click.option(
     "-o",
     "--out",
-    type=OutputFile(),
+    type=OutputFile(".dbc", ".kcd", ".sym"),
     metavar="F.dbc",
     help="Write the file there: .dbc, .kcd or .sym.  [default: a DBC file, to stdout]",
 )

@@ -134,7 +134,7 @@ def explain(
     """
     with errors():
         if (file is None) == (bus_name is None):
-            raise click.UsageError("give a FILE, or a bus with --bus")
+            raise click.UsageError("a FILE and --bus: give one of them")
         if bus_name is not None and knowledge.span != (None, None):
             raise click.UsageError("--span is of a FILE: leave it out, or give --seconds")
         if bus_name is None and seconds is not None:

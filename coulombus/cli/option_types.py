@@ -40,7 +40,8 @@ class InputPath(click.Path):
         try:
             mode_of(value)
         except FileNotFoundError as error:
-            raise Failure(f"{value}: cannot be read ({error.strerror})", 3) from None
+            bus = f": a bus is given with --bus {value}" if str(value).startswith(BUSES) else ""
+            raise Failure(f"{value}: cannot be read ({error.strerror}){bus}", 3) from None
         except OSError as error:
             self.fail(f"{value}: {error.strerror}", param, ctx)
         return super().convert(value, param, ctx)
@@ -183,6 +184,7 @@ class _BitRate(click.ParamType):  # type: ignore[type-arg]
         return int(rate)
 
 
+BUSES = ("coulombus:", "socketcan:", "can:")
 YEAR_S = 31_557_600
 SECONDS, SECONDS_OR_NONE = _Seconds(), _Seconds(zero=True)
 CPU = _Cpu()

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,7 @@ from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.seen_maps import maps_of_rig
 from coulombus.recording.reading import HOST, RIG
+from coulombus.recording.span import SpanError
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
 from coulombus.wire.frame import Records, data_bytes
 
@@ -210,10 +212,14 @@ class Explainer:
         kept = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
         return frames[keep], kept
 
+    def seconds(self, t_ns: Any) -> Any:
+        """Return times [ns] in s since time 0."""
+        return (t_ns - (self._epoch_ns or 0)) / 1e9
+
     def _is_in_span(self, t_ns: Integers) -> npt.NDArray[np.bool_]:
         """Return whether each of these times is within the span."""
         begin, end = self._span
-        t_s = (t_ns - (self._epoch_ns or 0)) / 1e9
+        t_s = self.seconds(t_ns)
         inside: npt.NDArray[np.bool_] = (t_s >= (-np.inf if begin is None else begin)) & (
             t_s < (np.inf if end is None else end)
         )
@@ -343,14 +349,22 @@ def explain(
         The file is damaged, is of another kind, or has no frame.
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
+    coulombus.recording.span.SpanError
+        There is no frame in the span.
     """
     remarks: list[str] = []
     explainer: Explainer | None = None
+    first_ns = last_ns = -1
     for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
             explainer = Explainer(rig or attached_rig(capture, remarks), eds, span, capture.origin_ns)
         explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
+        first_ns = int(capture.frames["t_ns"][0]) if first_ns < 0 and len(capture.frames) else first_ns
+        last_ns = int(capture.frames["t_ns"][-1]) if len(capture.frames) else last_ns
     assert explainer is not None  # a log without a frame is refused
+    if not explainer.bus.frames:
+        first_s, last_s = explainer.seconds(first_ns), explainer.seconds(last_ns)
+        raise SpanError(f"{path}: there is no frame in the span: it goes from {first_s:.3f} s to {last_s:.3f} s")
     explainer.end()
     return explainer.explanation(remarks)
 

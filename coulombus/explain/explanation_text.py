@@ -38,6 +38,8 @@ SHOWN_IDENTIFIERS = 24
 
 def verdict(explanation: Explanation) -> str:
     """Return the verdict in a line."""
+    if not explanation.frames:
+        return "ok: no frame came, so nothing is known: look at supply, cable and bit rate"
     return VERDICT_TEXT[explanation.verdict] + ("" if explanation.whole else REST)
 
 

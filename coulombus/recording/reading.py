@@ -187,14 +187,18 @@ def _attached_rig(captures: Iterable[Capture]) -> Rig | None:
         texts |= {name: capture.attachments[name].decode(errors="replace") for name in files}
         if RIG in texts and len(capture.frames):  # its EDS files stand before the frames, too
             break
+    if capture.torn and not frames:
+        damage.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
     if RIG not in texts:
-        if capture.torn and not frames:
-            damage.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
         if damage:
             raise RigError([f"{capture.path}: no {RIG} is attached ({'; '.join(damage)}); {GIVE_RIG}"])
         return None
     try:
         return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
     except RigError as error:
+        if capture.torn and not frames:
+            raise RigError(
+                [f"{capture.path}: its attached rig is not whole ({'; '.join(damage)}); {GIVE_RIG}"]
+            ) from error
         remedy = f"{capture.path}: its attached rig cannot be read by this version; {GIVE_RIG}"
         raise RigError([*error.errors, remedy]) from error

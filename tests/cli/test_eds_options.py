@@ -94,3 +94,15 @@ def test_a_pdo_that_cannot_be_read_is_left_out_and_told(tmp_path):
     assert "node5_TPDO1" not in result.stdout
     assert "node5_RPDO1" in result.stdout
     assert "this PDO is left out" in result.stderr
+
+
+def test_a_node_with_two_files_and_an_unknown_kind_of_database_are_refused(log, tmp_path):
+    for verb in ("decode", "explain"):
+        assert "node 5 has" in CliRunner().invoke(main, [verb, str(log), "--eds", MOTOR, "--eds", MOTOR]).output
+    output = CliRunner().invoke(main, ["dbc", "--eds", MOTOR, "-o", str(tmp_path / "bus.xlsx")]).output
+    assert "expected a name that ends in .dbc, .kcd, .sym" in output
+
+
+def test_a_bus_in_the_place_of_a_file_names_the_option():
+    result = CliRunner().invoke(main, ["explain", "coulombus:bench"])
+    assert (result.exit_code, "--bus coulombus:bench" in result.output) == (3, True)

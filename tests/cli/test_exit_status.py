@@ -173,7 +173,7 @@ OUTPUTS = (
     ("run", "--record", ".pcapng"),
     ("run", "--histogram", ".png"),
     ("watch", "--pcapng", ".pcapng"),
-    ("dbc", "--out", ""),
+    ("dbc", "--out", ".dbc"),
     ("plan", "--gantt", ".png"),
     ("identify", "--figure", ".png"),
     ("conformance", "--junit", ""),
@@ -301,7 +301,7 @@ def test_a_file_that_exists_is_not_replaced_unless_asked(call, tmp_path, verb, o
 
 @pytest.mark.parametrize(
     "words",
-    ["simulate --record", "simulate --truth", "emulate --record", "dbc --out"],
+    ["simulate --record", "simulate --truth", "emulate --record"],
 )
 def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
     verb, _, option = words.partition(" ")

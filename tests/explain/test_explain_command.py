@@ -96,6 +96,12 @@ def test_a_span_leaves_the_rest_out(lost):
     assert told["frames"] < 1300
 
 
+def test_a_span_without_a_frame_is_refused_with_that_of_the_log(lost):
+    result = call(lost, "--check", "--span", "50:60")
+    assert result.exit_code == 2
+    assert "there is no frame in the span: it goes from 0." in result.output
+
+
 @pytest.mark.parametrize("suffix", ["html", "md"])
 def test_a_report_has_every_incident_and_takes_no_markup_from_names(lost, tmp_path, suffix):
     eds = tmp_path / "odd.eds"

@@ -169,6 +169,18 @@ def test_a_file_that_breaks_off_before_its_rig_says_so(tmp_path: Path, rig: Rig)
             reader(path)
 
 
+def test_a_file_that_breaks_off_within_its_rig_says_so(tmp_path: Path, rig: Rig):
+    path = save(tmp_path / "a.pcapng", CYCLE, attached(rig))
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"motor.eds") + 20])  # within the first EDS file
+    for reader in (read, blocks):
+        with pytest.raises(
+            RigError, match=r"a\.pcapng: its attached rig is not whole \(the file breaks off"
+        ) as failure:
+            reader(path)
+        assert "rig.toml]:" not in str(failure.value)
+
+
 def test_a_recording_that_is_still_being_written(tmp_path: Path, rig: Rig):
     """What is there counts; a later look at it finds more, and a block that is half there is left
     for then.

@@ -44,6 +44,8 @@ def eds_files(texts: Iterable[str] | EdsFiles) -> EdsFiles:
             node = int(number)
             if not 1 <= node <= 127:
                 raise EdsError(f"--eds {text}: node id {node}; expected 1 to 127")
+            if node in files.of_nodes:
+                raise EdsError(f"--eds {text}: node {node} has {files.of_nodes[node].path}, too; give one of them")
             files.of_nodes[node] = read_eds(Path(name))
         elif Path(text).is_dir():
             descriptions, refused = read_folder(Path(text))
