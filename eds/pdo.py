@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "COMMUNICATION",
+    "COMMUNICATION_RANGES",
     "MAPPING",
+    "MAPPING_RANGES",
     "PDO_BITS",
     "PDO_COUNT",
     "Entry",
@@ -45,6 +47,10 @@ EVENT_UNIT_NS = 1_000_000
 COMMUNICATION = {"rpdo": 0x1400, "tpdo": 0x1800}
 MAPPING = {"rpdo": 0x1600, "tpdo": 0x1A00}
 PDO_COUNT = 512
+COMMUNICATION_RANGES, MAPPING_RANGES = (
+    tuple(range(first, first + PDO_COUNT) for first in parameters.values()) for parameters in (COMMUNICATION, MAPPING)
+)
+"""Indices of the communication and of the mapping parameters: of RPDOs, of TPDOs."""
 REALS = {32: "<f", 64: "<d"}
 DIAGRAM_COLUMNS = 110
 NAME_COLUMNS = 34

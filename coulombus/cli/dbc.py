@@ -40,10 +40,10 @@ def dbc(chosen: KnownBusOptions, out: Path | None, overwrite: bool) -> None:
       candump -L can0 | cantools decode bench.dbc
     """
     with errors():
-        from coulombus.monitor.dbc import WRITERS, database_text, file_encoding
+        from coulombus.monitor.dbc import database_text, file_encoding
         from coulombus.recording.output_file import new_file
 
-        suffix = ".dbc" if out is None or out.suffix.lower() not in WRITERS else out.suffix.lower()
+        suffix = ".dbc" if out is None else out.suffix.lower()
         text = database_text(chosen.known()[0], suffix)
         if out is None:
             with printed():

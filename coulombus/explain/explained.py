@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -169,7 +168,8 @@ class Explainer:
     def explanation(self, remarks: Sequence[str] = ()) -> Explanation:
         """Return the explanation so far; `remarks`: those of the log's reader."""
         clues = [*self.bus.clues.all, *self._rare.sdo.missing()]
-        if self._batches.period_ns:
+        batch_ns = self._batches.period_ns
+        if batch_ns:
             clues = [clue for clue in clues if clue.kind not in OF_TIMES]
         if not self._is_canopen:
             clues = [clue for clue in clues if KINDS[clue.kind].group == "bus"]
@@ -187,7 +187,7 @@ class Explainer:
             epoch_ns=self._epoch_ns or 0,
             end_ns=self.bus.last_ns,
             frames=self.bus.frames,
-            remarks=(*remarks, *self._remarks(), *_together(incidents)),
+            remarks=(*remarks, *self._remarks(batch_ns), *_together(incidents)),
             whole=not any(OMITTED in remark for remark in remarks),
             shown=dict(self._shown),
             bus=self.bus,
@@ -212,14 +212,10 @@ class Explainer:
         kept = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
         return frames[keep], kept
 
-    def seconds(self, t_ns: Any) -> Any:
-        """Return times [ns] in s since time 0."""
-        return (t_ns - (self._epoch_ns or 0)) / 1e9
-
     def _is_in_span(self, t_ns: Integers) -> npt.NDArray[np.bool_]:
         """Return whether each of these times is within the span."""
         begin, end = self._span
-        t_s = self.seconds(t_ns)
+        t_s = (t_ns - (self._epoch_ns or 0)) / 1e9
         inside: npt.NDArray[np.bool_] = (t_s >= (-np.inf if begin is None else begin)) & (
             t_s < (np.inf if end is None else end)
         )
@@ -271,7 +267,7 @@ class Explainer:
             f"{waiting:.0%} of the time{idle}; PDOs come without a request"
         ]
 
-    def _remarks(self) -> list[str]:
+    def _remarks(self, batch_ns: int) -> list[str]:
         bus = self.bus
         remarks = []
         if self._is_cut:
@@ -292,9 +288,9 @@ class Explainer:
         if bus.others:
             nodes = ", ".join(f"node {number}" for number in sorted(bus.others))
             remarks.append(f"{nodes}: another device than the rig's (1018h), so the rig says nothing of it")
-        if self._batches.period_ns:
+        if batch_ns:
             remarks.append(
-                f"frames come in batches, {self._batches.period_ns / 1e6:.3g} ms apart, as adapters hand them over: "
+                f"frames come in batches, {batch_ns / 1e6:.3g} ms apart, as adapters hand them over: "
                 "times between frames are unknown, and nothing is said of them"
             )
         remarks += self._polls()
@@ -363,7 +359,7 @@ def explain(
         last_ns = int(capture.frames["t_ns"][-1]) if len(capture.frames) else last_ns
     assert explainer is not None  # a log without a frame is refused
     if not explainer.bus.frames:
-        first_s, last_s = explainer.seconds(first_ns), explainer.seconds(last_ns)
+        first_s, last_s = map(explainer.explanation().at_s, (first_ns, last_ns))
         raise SpanError(f"{path}: there is no frame in the span: it goes from {first_s:.3f} s to {last_s:.3f} s")
     explainer.end()
     return explainer.explanation(remarks)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coulombus.eds.cia301 import NmtState
+from coulombus.eds.cia301 import NmtState, predefined
+from coulombus.eds.pdo import COMMUNICATION_RANGES, MAPPING_RANGES
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import Bus
 from coulombus.explain.device_errors import error_text
@@ -15,8 +16,6 @@ __all__ = ["WrittenObjects", "number_text"]
 SETTINGS = (range(0x1005, 0x1008), range(0x1012, 0x1018), range(0x1400, 0x1C00))
 MAPPING = (*SETTINGS, range(0x1000, 0x1001), range(0x1018, 0x1019))
 """Objects on which PDO maps, names and periods depend."""
-MAPS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-COMMUNICATION = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 PROGRAM, START = 0x1F51, 1
 """Program control (CiA 302-3), and its command to start."""
 PRODUCES = 1 << 30
@@ -58,7 +57,7 @@ class WrittenObjects:
             self.bus.words.append((row, t_ns, number, index, value))
         if at == (0x1000, 0):
             node.device_type = value
-        if any(index in some for some in MAPS):
+        if any(index in some for some in MAPPING_RANGES):
             self.bus.configured.add(number)
         if node.objects.get(at) != value:
             node.objects[at] = value
@@ -106,7 +105,7 @@ class WrittenObjects:
         elif index == PROGRAM:
             node.program_ns, node.program_starts = shown.t_ns, value == START
             self.bus.beats_changed = True
-        elif any(index in some for some in COMMUNICATION):
+        elif any(index in some for some in COMMUNICATION_RANGES):
             self._pdo(shown)
 
     def _heartbeat(self, shown: _Value) -> None:
@@ -123,7 +122,7 @@ class WrittenObjects:
     def _pdo(self, shown: _Value) -> None:
         """Process a PDO's COB-ID or event timer: it may be switched off, or have the identifier of another one."""
         node, (index, subindex), value = shown.node, shown.at, shown.value
-        usual = (0x180 if index >= 0x1800 else 0x200) + (index & 0x1FF) * 0x100 + node.number
+        usual = predefined(index, 1, node.number) or VALID
         cob_id = value if subindex == 1 else node.objects.get((index, 1), usual)
         if (subindex == 1 and value & VALID) or (subindex == 5 and not value):
             self.bus.pdo_ends[cob_id & 0x7FF] = shown.t_ns, f"{where(index, subindex)} was written with {value:X}h"
@@ -138,7 +137,7 @@ class WrittenObjects:
         self.clues.end("same_cob_id", node.number, shown.t_ns, "it got another one", subject=shown.at[0])
         for other in self.bus.nodes.values() if not value & VALID else ():
             for (index, subindex), cob_id in other.objects.items():
-                is_tpdo = index in COMMUNICATION[1] and subindex == 1 and not cob_id & VALID
+                is_tpdo = index in COMMUNICATION_RANGES[1] and subindex == 1 and not cob_id & VALID
                 if is_tpdo and other is not node and cob_id & 0x7FF == value & 0x7FF and other.booted_ns < shown.t_ns:
                     text = f"{where(*shown.at)} was written with {value & 0x7FF:X}h, which {self.bus.name(other.number)} has"
                     self.clues.begin("same_cob_id", node.number, shown.t_ns, text, row=shown.row, subject=shown.at[0])

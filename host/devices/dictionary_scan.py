@@ -17,6 +17,7 @@ from coulombus.eds.description import Object, Variable
 from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.eds_keys import FileContent, Row, spelled
 from coulombus.eds.own_devices import packaged
+from coulombus.eds.pdo import COMMUNICATION_RANGES, MAPPING_RANGES
 from coulombus.host.devices.configuration import acts
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused
@@ -27,8 +28,6 @@ EVERYWHERE = ((0x1000, 0x1FFF), (0x2000, 0x5FFF), (0x6000, 0x9FFF))
 ABSENT = (Abort.NO_OBJECT, Abort.NO_SUBINDEX)
 UNKNOWN = (Abort.GENERAL, Abort.NO_DICTIONARY)
 """Answers of some devices for objects that they do not have."""
-PDO_PARTS = ((0x1400, 0x1600), (0x1600, 0x1800), (0x1800, 0x1A00), (0x1A00, 0x1C00))
-MAPS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 STATE = (0x1001, 0x1002, 0x1003)
 """Objects of the communication area whose values are no settings."""
 PROFILES = MappingProxyType({402: 0, 404: 1})
@@ -85,6 +84,10 @@ def read_object(client: SdoClient, index: int, subindex: int) -> bytes | int | N
         return int(Abort.MEMORY)  # longer than `MOST_BYTES`
 
 
+def _is_map(index: int) -> bool:
+    return any(index in part for part in MAPPING_RANGES)
+
+
 @dataclass
 class DictionaryScan:
     """Reads objects of a node (`content`).
@@ -121,8 +124,8 @@ class DictionaryScan:
         device_type = self._read(0x1000, 0)
         profile = int.from_bytes(device_type[:2], "little") if isinstance(device_type, bytes) else 0
         self._common, self._profile = own[0], own[PROFILES[profile]] if profile in PROFILES else None
-        self._mapped = set(self._mapped_places(MAPS))
-        self._set_points = set(self._mapped_places(MAPS[:1]))
+        self._mapped = set(self._mapped_places(MAPPING_RANGES))
+        self._set_points = set(self._mapped_places(MAPPING_RANGES[:1]))
         content = FileContent([])
         for first, last in self.ranges:
             for index in range(first, last + 1):
@@ -147,7 +150,7 @@ class DictionaryScan:
     def _template(self, index: int) -> Object | None:
         """Return the object of CiA 301 or the profile from our own files."""
         if index < 0x2000:
-            usual = next((first for first, end in PDO_PARTS if first <= index < end), index)
+            usual = next((part.start for part in (*COMMUNICATION_RANGES, *MAPPING_RANGES) if index in part), index)
             return self._common.objects.get(usual)
         if index < 0x6000 or self._profile is None:
             return None
@@ -170,7 +173,7 @@ class DictionaryScan:
             return
         rows = []
         for sub, answer in self._subs(index, top):
-            known = variables.get(sub) or (variables.get(1) if sub and index in (*MAPS[0], *MAPS[1]) else None)
+            known = variables.get(sub) or (variables.get(1) if sub and _is_map(index) else None)
             keys = self._keys(index, sub, answer, known)
             if keys is not None:
                 usual = "Highest sub-index supported" if sub == 0 else f"{name} {sub}"
@@ -194,8 +197,7 @@ class DictionaryScan:
         if top is not None:
             yield 0, top
         count = top[0] if isinstance(top, bytes) and len(top) == 1 else 0xFE if top is None else 1
-        is_map = any(index in part for part in MAPS)
-        for sub in range(1, (MOST_MAPPED if is_map else max(count, 1)) + 1):
+        for sub in range(1, (MOST_MAPPED if _is_map(index) else max(count, 1)) + 1):
             answer = self._read(index, sub)
             if answer is not None:
                 yield sub, answer

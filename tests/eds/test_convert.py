@@ -1,4 +1,4 @@
-"""EDS, DCF, XDD and XDC into each other: the same objects there and back, and what is left out is told."""
+"""`eds convert` keeps all objects there and back, and prints what the other form cannot say."""
 
 from __future__ import annotations
 

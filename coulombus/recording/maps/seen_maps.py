@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia301 import predefined
 from coulombus.eds.description import Description, EdsError
 from coulombus.eds.eds_folder import fitting
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_COUNT, PdoLayout, read_layout
@@ -20,7 +20,6 @@ RANKS = ("assumed", "rig", "EDS", SEEN)
 """Sources of a map, the best last."""
 PDOS = 8
 """PDOs of a node without an EDS file."""
-BASES = {"tpdo": int(CobId.TPDO1), "rpdo": int(CobId.RPDO1)}
 Maps: TypeAlias = Mapping[str, Mapping[int, tuple[int, ...]]]
 DEFAULTS_402: Maps = {
     "rpdo": {1: (0x60400010,), 2: (0x60400010, 0x60600008), 3: (0x60400010, 0x607A0020), 4: (0x60400010, 0x60FF0020)},
@@ -231,7 +230,7 @@ def _map(node: MappedNode, description: Description | None, direction: str, numb
     if not fields and cob_id is None and not any((communication, sub) in objects for sub in (2, 3, 5)):
         return None
     if cob_id is None:
-        cob_id = BASES[direction] + 0x100 * (number - 1) + node.number if number <= 4 else 1 << 31
+        cob_id = predefined(communication, 1, node.number) or 1 << 31
     can_id = -1 if cob_id & 1 << 31 else cob_id & 0x7FF
     return Map(can_id, node.number, direction, number, fields, source, transmission, event_ns, inhibit_ns)
 
