@@ -36,7 +36,7 @@ import heapq
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 
@@ -69,13 +69,12 @@ from coulombus.sim_bus.network.event_loop import (
     run,
 )
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.python_stations import CanopenNetwork, Heard, Station
+from coulombus.sim_bus.network.python_stations import Heard, Station
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
-    CAN_RTR_FLAG,
     Frame,
     Queue,
     Records,
@@ -87,7 +86,10 @@ from coulombus.wire.frame import (
     push,
 )
 
-__all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
+if TYPE_CHECKING:
+    from coulombus.sim_bus.network.canopen_station import CanopenNetwork
+
+__all__ = ["Heard", "Station", "VirtualNetwork"]
 
 CAPACITY = 16
 FIRST_STATION, MOST_STATIONS = 192, 62
@@ -289,21 +291,9 @@ class VirtualNetwork:
 
         Add nodes to it, and let time pass with `wait_ns`.
         """
+        from coulombus.sim_bus.network.canopen_station import CanopenNetwork  # canopen loads for half a second
 
-        def send(can_id: int, data: bytes, remote: bool) -> None:
-            station.send(can_id | (CAN_RTR_FLAG if remote else 0), data)
-
-        def answer(can_id: int) -> None:
-            heard.clear()
-            self.run_until(self.t_ns + round(sdo_timeout_s * 1e9), lambda: can_id in heard)
-
-        def listen(frame: Heard) -> None:
-            heard.add(frame.can_id)
-            network.notify(frame.can_id, bytearray(frame.data), frame.t_ns * 1e-9)
-
-        heard: set[int] = set()
-        network, station = CanopenNetwork(send, answer), self.station(None, listen)
-        return network
+        return CanopenNetwork(self, sdo_timeout_s)
 
     # time
 

@@ -1,19 +1,14 @@
-"""Participants of a virtual-time network written in Python: a station, and `canopen`'s network."""
+"""Participants of a virtual-time network written in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import canopen
-
-from coulombus.eds.cia301 import CobId
 from coulombus.wire.frame import Queue, data_word, push
 
-__all__ = ["CanopenNetwork", "Heard", "Station"]
-
-SDO_ABORT = 0x80
+__all__ = ["Bus", "Heard", "Station"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +36,11 @@ class Bus(Protocol):
 
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Let time pass until `t_ns`, or until `condition` holds."""
+
+    def station(
+        self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None
+    ) -> Station:
+        """Return a new station."""
 
 
 class Station:
@@ -93,40 +93,3 @@ class Station:
             self._on_frame(frame)
         else:
             self.heard.append(frame)
-
-
-class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
-    """A `canopen` network without threads: its frames go to the virtual bus, and an SDO request lets time pass."""
-
-    def __init__(self, send: Callable[[int, bytes, bool], None], answer: Callable[[int], None]) -> None:
-        """Set `send`, which sends a frame, and `answer`, which lets time pass until a frame with an identifier
-        was heard, or for the SDO time-out.
-        """
-        super().__init__()
-        self._send, self._answer = send, answer
-        self._heard: set[int] = set()
-
-    def notify(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Pass a frame to its subscribers."""
-        self._heard.add(can_id)
-        super().notify(can_id, data, timestamp)
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Queue a frame; for an SDO request, run the bus until the node's response or the time-out."""
-        self._send(can_id, bytes(data), remote)
-        if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # an abort has no response
-            self._await(can_id & 0x7F)
-
-    def _await(self, node_id: int) -> None:
-        """Wait for a response that the node's client accepts: it accepts a repeated frame once."""
-        node = self.nodes.get(node_id)
-        again = True
-        while again:
-            self._heard.clear()
-            self._answer(CobId.SDO_TX + node_id)
-            remote = isinstance(node, canopen.RemoteNode)
-            again = remote and node.sdo.responses.empty() and CobId.SDO_TX + node_id in self._heard
-
-    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
-        """Refuse: the kernel sends periodic frames."""
-        raise NotImplementedError("periodic frames belong to the kernel: see coulombus.sim_bus.network.event_loop")
