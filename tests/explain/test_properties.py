@@ -61,8 +61,7 @@ def test_the_blocks_in_which_a_log_is_read_change_nothing(name):
     frames, files = run_of(name)
     whole = told(explained(frames, files=files()))
     assert whole
-    for size in (7, 1000):
-        assert told(explained(frames, size, files())) == whole
+    assert told(explained(frames, 37, files())) == whole
     assert told(explained(frames, 311, files(), live=True)) == whole
 
 
@@ -99,9 +98,9 @@ def drawn(seed, number=800):
 
 @pytest.mark.parametrize("seed", [*range(11), 246])
 def test_of_any_frames_the_blocks_change_nothing(seed):
-    frames = drawn(seed)
+    frames = drawn(seed, 800 if seed == 246 else 300)
     whole = told(explained(frames))
-    for size in (1, 13, 400):
+    for size in (1, 13, 200):
         assert told(explained(frames, size)) == whole
 
 

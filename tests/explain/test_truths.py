@@ -15,16 +15,16 @@ from coulombus.lab.simulate import simulate
 pytestmark = pytest.mark.slow
 
 
-def test_a_hundred_runs_are_told_as_they_were():
+def test_forty_runs_are_told_as_they_were():
     score = Score()
-    for seed in range(100):
+    for seed in range(40):
         score.add(rig_outcome(seed) if seed % 5 == 0 else outcome(seed))
-    assert score.runs + score.healthy == 100
+    assert score.runs + score.healthy == 40
     assert score.cause >= 0.95 * score.runs, score.matrix
     assert score.node >= 0.95 * score.runs
     assert score.state >= 0.95 * score.runs
     assert score.culprit >= 0.95 * score.runs
-    assert (score.invented, score.healthy > 5) == (0, True)
+    assert (score.invented, score.healthy > 1) == (0, True)
 
 
 @pytest.mark.parametrize("name", [*SCENARIOS, PAIR, *RIG_FAULTS])

@@ -100,7 +100,7 @@ def test_the_hand_presses_no_deeper_than_its_force_over_the_stiffness(mode):
         places.append((state.tip_x_m, state.hand_x_N, state.share))
         return Model(wall=PlaneWall((0.24, 0.0), (-1.0, 0.0), 400.0, 10.0), law=0.2)
 
-    simulate("plane", mode, 8, world=world)
+    simulate("plane", mode, 4, world=world)
     x, hand_N, share = np.array(places).T
     assert x[share == 1.0].max() < 0.24 + np.abs(hand_N).max() / 400.0 + 2e-3
 

@@ -133,9 +133,9 @@ def random_text(seed):
 
 
 @pytest.mark.parametrize("ending", [".log", ".asc", ".trc", ".csv", ".txt", ""])
-def test_a_thousand_random_texts_give_no_frame(tmp_path, ending):
+def test_random_texts_give_no_frame(tmp_path, ending):
     path = tmp_path / f"text{ending}"
-    for seed in range(1000):
+    for seed in range(200):
         path.write_text(random_text(seed))
         assert number_of_frames(path) == 0, random_text(seed)
 

@@ -57,8 +57,8 @@ def test_what_was_put_in_comes_out(name):
     ("amplitude_rad", "frequency_Hz", "parts", "truth"),
     [
         (0.34, 0.62, 6, (0.96, 1.54, 0.92, 138.0, 0.43, 0.12)),
-        (0.07, 2.0, 0, (1.37, 1.65, 0.94, 678.0, 0.57, 0.32)),
-        (0.29, 1.64, 0, (0.83, 1.2, 0.7, 839.0, 0.86, 0.15)),
+        pytest.param(0.07, 2.0, 0, (1.37, 1.65, 0.94, 678.0, 0.57, 0.32), marks=pytest.mark.long),
+        pytest.param(0.29, 1.64, 0, (0.83, 1.2, 0.7, 839.0, 0.86, 0.15), marks=pytest.mark.long),
     ],
 )
 def test_a_wrong_minimum_is_left_for_the_right_one(amplitude_rad, frequency_Hz, parts, truth):
@@ -126,9 +126,9 @@ def coverage(seeds):
 
 def test_a_bodys_friction_is_in_the_intervals():
     """With straight lines between the samples sigma_1 was 5 % off, and the minimum another one."""
-    holds, of = coverage(range(2))
+    holds, of = coverage(range(1))
     assert sum(holds.values()) >= sum(of.values()) - 1
-    assert sum(of.values()) >= 9
+    assert sum(of.values()) >= 4
 
 
 @pytest.mark.long

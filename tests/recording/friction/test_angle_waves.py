@@ -44,7 +44,7 @@ WAVES = {
 
 
 @pytest.mark.parametrize("kinds", [(), ("cogging",), ("ripple",), ("uneven",), ("uneven", "cogging", "ripple")])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_what_is_there_is_found_and_nothing_else(kinds, seed):
     slides = swept({kind: WAVES[kind] for kind in kinds}, seed)
     found = find_waves(slides, RATIO, ALL_KINDS)
