@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from pathlib import Path
 
+from coulombus.system.full_queue import connect_by
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.controller_state import ControllerState
@@ -213,15 +214,7 @@ def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
     try:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         client.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)  # before connect(): no message without a stamp
-        while True:
-            client.settimeout(max(1e-3, deadline - time.monotonic()))
-            try:
-                client.connect(str(path))
-                break
-            except BlockingIOError:  # the queue of connections pending for accept() is full
-                if time.monotonic() >= deadline:
-                    raise TimeoutError from None
-                time.sleep(0.01)
+        connect_by(client, path, deadline)
         with suppress(BrokenPipeError):  # a full bus says so and closes at once
             client.send(hello.pack())
         answer = None

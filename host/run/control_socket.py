@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.errors import HostError, SafetyTrip
+from coulombus.system.full_queue import connect_by
 from coulombus.wire.address import HOST_SUFFIX, AddressError, BusAddress, parse_address, socket_names, socket_path
 
 __all__ = [
@@ -282,7 +283,7 @@ class StopRequest:
         self._failure: str | None = None
         self._socket = _new()
         try:
-            self._connect()
+            connect_by(self._socket, control_path(self.address), self._heard_by)
             self._socket.send(STOP)
         except TimeoutError:
             self._fail(f"does not accept a connection within {self._let_in_s:g} s: it no longer serves its socket")
@@ -293,16 +294,6 @@ class StopRequest:
 
     def _fail(self, text: str) -> None:
         self._failure = f"the host on bus {self.address} {text}; it may be armed still: see to the rig itself"
-
-    def _connect(self) -> None:
-        path = str(control_path(self.address))
-        while True:
-            try:
-                return self._socket.connect(path)
-            except BlockingIOError:  # the backlog is full: a blocking connect() would wait without end
-                if time.monotonic() >= self._heard_by:
-                    raise TimeoutError from None
-                time.sleep(RETRY_S)
 
     def _receive(self, deadline: float) -> bytes:
         self._socket.settimeout(max(1e-3, deadline - time.monotonic()))

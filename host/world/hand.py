@@ -32,13 +32,13 @@ from coulombus.host.world.protocol import (
 from coulombus.host.world.records import MODEL, STATE
 from coulombus.host.world.state import State, state_of
 from coulombus.rigs.arguments import WrongCall
+from coulombus.system.full_queue import connect_by
 from coulombus.wire.address import WORLD_SUFFIX, BusAddress, parse_address, socket_path
 
 __all__ = ["Hand", "NoWorld", "connect", "world_path"]
 
 CHUNK = 1 << 16
 WAIT_S = 3.0
-RETRY_S = 0.01
 START_S = 120.0
 """Longest time to wait for the first state: the host may compile, bring the nodes up, and wait for a hand."""
 RENEW = 3.0
@@ -368,8 +368,11 @@ def connect(bus: str = "bench", *, key: str = "", timeout_s: float = WAIT_S) -> 
     address = parse_address(bus if ":" in bus else f"coulombus:{bus}")
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
+        try:
+            connect_by(connection, world_path(address), time.monotonic() + timeout_s)
+        except TimeoutError:
+            raise TimeoutError("it lets nobody in: it hangs, or too many programs wait") from None
         connection.settimeout(timeout_s)
-        _join(connection, str(world_path(address)), time.monotonic() + timeout_s)
         connection.sendall(Greeting(key=key).record(), socket.MSG_NOSIGNAL)
         return Hand(connection, timeout_s)
     except (FileNotFoundError, ConnectionRefusedError):
@@ -381,13 +384,3 @@ def connect(bus: str = "bench", *, key: str = "", timeout_s: float = WAIT_S) -> 
     except BaseException:
         connection.close()
         raise
-
-
-def _join(connection: socket.socket, path: str, ends_s: float) -> None:
-    while True:
-        try:
-            return connection.connect(path)
-        except BlockingIOError:  # too many programs wait for the host to let them in
-            if time.monotonic() >= ends_s:
-                raise TimeoutError("it lets nobody in: it hangs, or too many programs wait") from None
-            time.sleep(RETRY_S)

@@ -28,6 +28,7 @@ from coulombus.host.run.control_socket import (
     host_runs,
     stop_host,
 )
+from coulombus.system import full_queue
 from coulombus.wire.address import BusAddress, parse_address, socket_path
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
@@ -86,7 +87,8 @@ class Asker:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(control_socket, "time", clock)
+    for module in (control_socket, full_queue):
+        monkeypatch.setattr(module, "time", clock)
     return clock
 
 
@@ -177,7 +179,7 @@ def test_a_stop_is_asked_for_and_its_end_waited_for_with_one_deadline(asker, clo
     request = StopRequest(BUS)
     clock.now_s += 1.0
     assert request.result() == {"trip": None, "cycles": 7, "mode": "passive"}
-    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [2.0, 29.0], 1)
+    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [2.0, 2.0, 29.0], 1)
 
 
 def test_a_wait_that_is_over_is_a_short_one_and_never_for_ever(asker, clock):
@@ -185,7 +187,7 @@ def test_a_wait_that_is_over_is_a_short_one_and_never_for_ever(asker, clock):
     request = StopRequest(BUS, 2.0)
     clock.now_s += 2.0
     assert request.result() == {}
-    assert one.timeouts == [1e-3, 1e-3]
+    assert one.timeouts == [2.0, 1e-3, 1e-3]
 
 
 def test_who_finds_no_room_tries_again_until_the_deadline(asker, clock):
