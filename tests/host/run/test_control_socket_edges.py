@@ -179,7 +179,7 @@ def test_a_stop_is_asked_for_and_its_end_waited_for_with_one_deadline(asker, clo
     request = StopRequest(BUS)
     clock.now_s += 1.0
     assert request.result() == {"trip": None, "cycles": 7, "mode": "passive"}
-    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [2.0, 2.0, 29.0], 1)
+    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [3.0, 2.0, 29.0], 1)
 
 
 def test_a_wait_that_is_over_is_a_short_one_and_never_for_ever(asker, clock):
