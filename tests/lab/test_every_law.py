@@ -12,8 +12,10 @@ SECONDS = 8.0
 """Rest, hold and strokes of each rig's schedule."""
 
 
-@pytest.mark.parametrize("name", ["bench", "paper", "two_axes"])
-@pytest.mark.parametrize("mode", ["active", "passive", "hybrid"])
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [*(("bench", mode) for mode in ("active", "passive", "hybrid")), ("paper", "hybrid"), ("two_axes", "active")],
+)
 @pytest.mark.parametrize("law", BUILTIN_LAWS)
 def test_a_law_is_displayed_as_it_is_shipped(name, mode, law):
     rig = load_rig(name).with_law(law)

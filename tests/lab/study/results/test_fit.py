@@ -79,7 +79,7 @@ def test_the_intervals_hold_the_truth_in_90_to_99_of_100_studies(kind):
     "kind", ["staircase", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("constant", "weighted", "quest"))]
 )
 def test_a_shifted_pse_and_an_interval_bias_leave_the_jnd_right(kind):
-    fits = [fitted(kind, seed, shift=1 / 3, bias=0.5) for seed in range(24)]
+    fits = [fitted(kind, seed, shift=1 / 3, bias=0.5) for seed in range(40)]
     assert np.median([fit.jnd for fit in fits]) == pytest.approx(JND, rel=0.12)
     shift, bias = JND / 3, 0.5 * JND / ndtri(0.75)
     assert np.median([fit.pse - REFERENCE for fit in fits]) == pytest.approx(shift, abs=0.2 * JND)
@@ -132,14 +132,14 @@ def test_the_jnd_of_a_tenth_of_lapses_is_that_of_an_observer_who_has_them():
 
 def test_a_drift_is_found_and_none_where_there_is_none():
     """A staircase follows the subject: the deviance does not see it, and the JND is too large."""
-    still = [fitted("staircase", seed, bias=0.3) for seed in range(60)]
-    assert sum(fit.drift_probability < 0.05 for fit in still) <= 8
+    still = [fitted("staircase", seed, bias=0.3) for seed in range(40)]
+    assert sum(fit.drift_probability < 0.05 for fit in still) <= 6
     assert 0.3 < np.median([fit.drift_probability for fit in still]) < 0.7
-    drifts = [fitted("staircase", seed, drift=drift) for drift in (2.0, -2.0) for seed in range(10)]
-    assert sum(fit.drift_probability < 0.05 for fit in drifts) >= 13
-    assert sum(fit.probability < 0.05 for fit in drifts) <= 6
-    assert np.median([fit.drift for fit in drifts[:10]]) == pytest.approx(2 * JND, rel=0.25)
-    assert np.median([fit.drift for fit in drifts[10:]]) == pytest.approx(-2 * JND, rel=0.25)
+    drifts = [fitted("staircase", seed, drift=drift) for drift in (2.0, -2.0) for seed in range(6)]
+    assert sum(fit.drift_probability < 0.05 for fit in drifts) >= 8
+    assert sum(fit.probability < 0.05 for fit in drifts) <= 4
+    assert np.median([fit.drift for fit in drifts[:6]]) == pytest.approx(2 * JND, rel=0.25)
+    assert np.median([fit.drift for fit in drifts[6:]]) == pytest.approx(-2 * JND, rel=0.25)
 
 
 def test_a_drift_goes_with_the_trials_order():
