@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from coulombus.eds import codec
 from coulombus.eds.codec import PDO, real_bits, real_value
 
-exact = settings(derandomize=True, database=None, deadline=None, max_examples=300)
+exact = settings(derandomize=True, database=None, deadline=None, max_examples=120)
 
 
 def plain(kernel):

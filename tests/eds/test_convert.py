@@ -105,7 +105,7 @@ TYPES = st.sampled_from(
 ACCESS = st.sampled_from(["ro", "wo", "rw", "rwr", "rww", "const", "", "read"])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_any_objects_are_the_same_there_and_back(data, tmp_path_factory):
     text = HEAD

@@ -82,7 +82,7 @@ def examine(raw: bytes) -> Description | None:
     return description
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=120, deadline=None, derandomize=True)
 @given(st.binary(max_size=400))
 @example(b"")
 @example(b"\xff\xfe")
@@ -94,7 +94,7 @@ def test_random_bytes(raw):
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=120, deadline=None, derandomize=True)
 @given(
     st.lists(
         st.tuples(
@@ -110,7 +110,7 @@ def test_lines_of_known_and_unknown_words(rows):
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.data(), st.sampled_from(["utf-8", "cp1252", "utf-16", "utf-16-le"]), st.sampled_from(["\n", "\r\n", "\r"]))
 def test_mutated_small_files(data, encoding, end):
     lines = list(SMALL)

@@ -149,7 +149,7 @@ def as_eds(entries):
     return text
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=60)
 @given(dictionaries(), st.integers(0, 1 << 30))
 def test_the_same_random_dictionary_is_the_same_as_eds_and_as_xdd(entries, seed):
     written = {(v.index, v.subindex): v for entry in entries for v in entry.variables.values()}
@@ -477,7 +477,7 @@ PIECES = st.sampled_from(
 )
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@settings(derandomize=True, deadline=None, max_examples=120)
 @given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 30), PIECES | st.text(max_size=5)), min_size=1, max_size=4))
 def test_whatever_the_text_it_is_read_or_refused(edits):
     text = container(XDC, parameters=P, management=NODE.format(5, "250 Kbps"))

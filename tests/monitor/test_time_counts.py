@@ -23,7 +23,7 @@ def counted(times, parts):
     return counts
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
+@settings(max_examples=80, derandomize=True, deadline=None)
 @given(times=times_of, parts=st.integers(1, 5))
 def test_quantiles_are_those_of_numpy(times, parts):
     counts = counted(times, parts)

@@ -311,7 +311,7 @@ def test_any_content_survives_a_download_and_an_upload(content):
         assert read == content
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(st.lists(st.binary(min_size=8, max_size=8), max_size=30))
 def test_every_request_ends_in_a_response_or_an_abort(requests):
     server = SdoServer(Echo(b"0123456789"))

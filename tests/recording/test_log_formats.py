@@ -148,7 +148,7 @@ def number_of_frames(path):
         return 0
 
 
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=120, deadline=None, derandomize=True, database=None)
 @given(text=st.text(max_size=400).filter(str.strip))
 def test_any_unicode_text_gives_no_frame_and_no_other_error(tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "unicode.log"

@@ -237,7 +237,7 @@ def whole_blocks(data: bytes) -> tuple[int, int]:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_file_cut_anywhere_gives_all_whole_blocks(data: st.DataObject):
     with tempfile.TemporaryDirectory() as folder:
         path = written(Path(folder) / "a.pcapng", ROWS * 2, {2: "here", 7: "there"}, attachments={"rig": b"x" * 99})
@@ -306,7 +306,7 @@ def places(data: bytes) -> list[int]:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_bytes_that_are_missing_in_its_midst_cost_the_blocks_that_they_were_of(data: st.DataObject):
     with tempfile.TemporaryDirectory() as folder:
         path = written(Path(folder) / "a.pcapng", ROWS * 3)
@@ -326,7 +326,7 @@ def test_bytes_that_are_missing_in_its_midst_cost_the_blocks_that_they_were_of(d
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_damaged_length_costs_one_packet(data: st.DataObject):
     with tempfile.TemporaryDirectory() as folder:
         path = written(Path(folder) / "a.pcapng", ROWS * 3)
@@ -491,7 +491,7 @@ def test_nothing_but_a_clear_error_comes_of_noise(noise: bytes):
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_damaged_byte_is_read_or_refused(data: st.DataObject):
     with tempfile.TemporaryDirectory() as folder:
         path = written(Path(folder) / "a.pcapng", ROWS, {2: "here"}, attachments={"rig": b"x" * 99})

@@ -32,7 +32,7 @@ def test_the_line_of_every_key() -> None:
     assert document.values["t"][1] == {"k": {"m": 1}}
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_with_lines(data: st.DataObject) -> None:
     text = BENCH

@@ -400,7 +400,7 @@ def test_wall_and_spring_turn_with_the_plane(angle, x, v, normal, K, B):
 numbers = {name: st.lists(st.floats(low, high), min_size=4, max_size=4) for name, (low, high) in PLANE_RANGES.items()}
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=60, deadline=None)
 @given(
     mode=st.sampled_from([PASSIVE, HYBRID, ACTIVE]),
     values=st.fixed_dictionaries(numbers),

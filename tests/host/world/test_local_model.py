@@ -191,7 +191,7 @@ def test_more_models_than_rows_are_taken_in_turn():
 numbers = {name: st.floats(low, high) for name, (low, high) in RANGES.items()}
 
 
-@settings(derandomize=True, max_examples=150, deadline=None)
+@settings(derandomize=True, max_examples=60, deadline=None)
 @given(
     mode=st.sampled_from([PASSIVE, HYBRID, ACTIVE]),
     values=st.fixed_dictionaries(numbers),

@@ -177,7 +177,7 @@ JSON = st.recursive(
 )
 
 
-@settings(derandomize=True, max_examples=300, deadline=None)
+@settings(derandomize=True, max_examples=120, deadline=None)
 @given(JSON)
 def test_any_json_is_a_record_or_a_malformed_message(fields):
     relay = opened()

@@ -27,7 +27,7 @@ from node_bench import EDS
 MS, S = 1_000_000, 1_000_000_000
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(st.integers(0, 10**14), st.integers(0, 10**14), st.integers(-(10**8), 10**8), st.integers(-(10**8), 10**8))
 def test_own_time_and_back(begin, later, first, second):
     """Against fractions.
