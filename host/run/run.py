@@ -13,6 +13,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -56,7 +57,7 @@ class Outputs:
     rotation: Rotation | None = None
     """Rule for the end of a segment (`recording.segments`)."""
     meta: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """The user's notes on the recording, which are attached to it."""
+    """The user's notes on the recording, which are attached to it in real time."""
     mark_on: tuple[BitMark, ...] = ()
     """Bits of signals that set a marker when they become 1."""
     histogram: Path | None = None
@@ -112,7 +113,9 @@ class Code(_Data):
         if not callable(function):
             raise WrongCall(f"{name} is {function!r}: expected a function, as in {call}")
         try:
-            source = inspect.getsourcefile(inspect.unwrap(getattr(function, "func", function)))
+            plain = function.func if isinstance(function, partial) else function
+            is_object = not (inspect.isroutine(plain) or inspect.isclass(plain))
+            source = inspect.getsourcefile(type(plain) if is_object else inspect.unwrap(plain))
             sha256 = None if source is None else hashlib.sha256(read_regular(Path(source))).hexdigest()
         except (OSError, TypeError):
             sha256 = None
@@ -208,14 +211,14 @@ class _Document(_Data):
 
     virtual: bool
     mode: str
-    seconds: float | None
-    seed: int | None = None
+    seconds: float | None = Field(gt=0, le=1e8)
+    seed: int | None = Field(default=None, ge=0)
     rig: _RigTexts | None = None
     simulated: _RigTexts | None = None
     faults: NamedText | None = None
     script: NamedText | Code | None = None
     world: Code | None = None
-    world_every: int = 1
+    world_every: int = Field(default=1, ge=1)
 
 
 @dataclass(frozen=True)

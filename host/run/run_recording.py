@@ -37,11 +37,14 @@ def begin_recording(run: Run, k: Controllers, zero_ns: int | None = None) -> Rec
     path = outputs.record
     if path is None:
         return None
-    started_ns, clock, comment = (0, {}, "") if zero_ns is None else wall_clock(zero_ns)
+    started_ns, more, comment = 0, run.attachments(rig), ""
+    if zero_ns is not None:
+        started_ns, clock, comment = wall_clock(zero_ns)
+        more |= clock | meta_attachment(outputs.meta)
     about = About(
         law=law_attachments(rig),
         law_state=k.each[0].law_state,
-        more={**clock, **meta_attachment(outputs.meta), **run.attachments(rig)},
+        more=more,
         comment=comment,
         started_ns=started_ns,
     )

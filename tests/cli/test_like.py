@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
+import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,9 @@ from click.testing import CliRunner
 
 import coulombus
 from coulombus.cli.main import main
-from coulombus.host.run.run import RUN, NotRepeatable, Outputs, Run, recorded_run
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.run.run import OUTSIDE, RUN, Code, NotRepeatable, Outputs, Run, recorded_run
+from coulombus.host.run.run_recording import begin_recording
 from coulombus.host.world.model_parts import Wall
 from coulombus.lab.simulate import simulate, virtual_run
 from coulombus.recording.pcapng_reader import read_pcapng
@@ -181,7 +186,7 @@ def test_the_environments_rig_does_not_matter(plain, tmp_path, monkeypatch):
         (None, "no run is attached"),
         (b"{", f"its attachment {RUN}: it:"),
         (b'{"virtual": true, "mode": "active", "seconds": 1.0, "later": 1}', "later: Extra inputs"),
-        (b'{"virtual": true, "mode": "active", "seconds": -1.0}', "seconds -1.0: expected a number above 0"),
+        (b'{"virtual": true, "mode": "active", "seconds": -1.0}', "seconds: Input should be greater than 0"),
         (b'{"virtual": true, "mode": "turbo", "seconds": 1.0}', "mode 'turbo': the rig has"),
         (b'{"virtual": true, "mode": "active", "seconds": "1"}', "seconds: Input should be a valid number"),
         (b'{"virtual": true, "mode": "active", "seconds": 1.0, "world": {"code": "f"}}', "its checksum is not known"),
@@ -199,6 +204,29 @@ def test_a_run_that_lasted_until_it_was_stopped_needs_a_length(plain, tmp_path):
     call("simulate", "--like", place, "--seconds", 0.05, "--record", tmp_path / "again.pcapng")
     assert json.loads(read_pcapng(tmp_path / "again.pcapng").attachments[RUN])["seconds"] == 0.05
     assert "its run lasted 0.1 s" in call("simulate", "--like", plain, "--seconds", 0.2, status=2)
+
+
+def test_a_run_in_real_time_is_attached_and_another_program_is_not_repeated(tmp_path):
+    rig, path = load_rig("bench"), tmp_path / "real.pcapng"
+    run = Run(rig, "hybrid", None, world=OUTSIDE, outputs=Outputs(record=path), virtual=False)
+    begin_recording(run, Controllers(rig, "hybrid"), time.monotonic_ns()).close()
+    expected = {"virtual": False, "mode": "hybrid", "seconds": None, "world": {"code": "another program"}}
+    assert json.loads(read_pcapng(path).attachments[RUN]) == expected
+    assert "another program, a program" in call("simulate", "--like", path, "--seconds", 1, status=2)
+
+
+class Pressed:
+    """A script that is an object."""
+
+    def __call__(self, world):
+        press(world)
+
+
+@pytest.mark.parametrize("function", [press, partial(press), Pressed(), Pressed().__call__, lambda world: press(world)])
+def test_the_checksum_of_code_is_that_of_its_file(function):
+    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    assert Code.of(function, "script", "").sha256 == own
+    assert Code.of([].append, "script", "").sha256 is None
 
 
 def test_a_run_is_checked_where_it_is_made():
