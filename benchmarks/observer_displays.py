@@ -23,7 +23,8 @@ import numpy as np
 
 from benchmarks.observers import REFERENCE, SEED, Show, share, study_file, truth_of, within, write_table
 from coulombus.host.run.result import RunResult
-from coulombus.lab.study.displays import Display, VirtualDisplays
+from coulombus.host.run.run import Run
+from coulombus.lab.study.displays import VirtualDisplays
 from coulombus.lab.study.felt_torque import felt_of
 from coulombus.lab.study.observer import Observer
 from coulombus.lab.study.results.report import report
@@ -70,7 +71,7 @@ class HandDisplays(VirtualDisplays):
         names = ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad")
         self._factors = dict(zip(names, factors, strict=True))
 
-    def __call__(self, display: Display) -> RunResult:
+    def __call__(self, display: Run) -> RunResult:
         """Show it, and return what came of it."""
         random = np.random.default_rng([SEED, 2, display.seed])
         speed = random.uniform(*SPEEDS_RAD_S) * random.choice((-1, 1))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         Wall,
     )
     from coulombus.lab.commissioning import commission
-    from coulombus.lab.simulate import simulate
+    from coulombus.lab.simulate import repeat, simulate
     from coulombus.lab.sweep.sweep import run_sweep
     from coulombus.lab.sweep.sweep_file import read_sweep
     from coulombus.lab.virtual_experiment import experiment
@@ -68,6 +68,7 @@ __all__ = [
     "load_rig",
     "read",
     "read_sweep",
+    "repeat",
     "run_sweep",
     "simulate",
 ]
@@ -95,6 +96,7 @@ _PLACES = {
     "load_rig": "coulombus.rigs.rig",
     "read": "coulombus.recording.reading",
     "read_sweep": "coulombus.lab.sweep.sweep_file",
+    "repeat": "coulombus.lab.simulate",
     "run_sweep": "coulombus.lab.sweep.sweep",
     "simulate": "coulombus.lab.simulate",
 }

@@ -293,8 +293,8 @@ def _now() -> str:
 
 
 def _real(bus_name: str | None, as_json: bool) -> Runner:
-    from coulombus.host.run.outputs import Outputs
     from coulombus.host.run.real_run import real_run
+    from coulombus.host.run.run import Outputs, Run
     from coulombus.system.stop_signals import Signals
     from coulombus.wire.address import parse_address
 
@@ -302,12 +302,10 @@ def _real(bus_name: str | None, as_json: bool) -> Runner:
 
     def run(exercise: Exercise, path: Path) -> RunResult:
         with Signals() as signals, progress(not as_json) as bar:
+            outputs = Outputs(record=path, force=True)
             return real_run(
-                exercise.rig,
-                exercise.mode,
-                exercise.seconds,
+                Run(exercise.rig, exercise.mode, exercise.seconds, outputs=outputs, virtual=False),
                 bus=address,
-                outputs=Outputs(record=path, force=True),
                 signals=signals,
                 progress=lambda t, _: bar(exercise.name, t, exercise.seconds),
             )

@@ -70,7 +70,7 @@ def demo(context: click.Context, /, **options: Any) -> None:
         _plane("plane" if default else rig_name, overrides, seed, out, as_json)
         return
     with errors():
-        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, displays, run_demo
+        from coulombus.lab.demo.demo import DEMO_MODES, TITLES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.reading import blocks
 
@@ -84,8 +84,8 @@ def demo(context: click.Context, /, **options: Any) -> None:
                 result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
         else:
             result = _real_demo(rig_name, overrides, seed, out, total, as_json)
-        shown = {name: display for name, display in displays(rig).items() if name in result.results}
-        columns = {display.title: (display.mode, blocks(out / f"{name}.pcapng")) for name, display in shown.items()}
+        shown = {name: run for name, run in displays(rig).items() if name in result.results}
+        columns = {TITLES[name]: (run.mode, blocks(out / f"{name}.pcapng")) for name, run in shown.items()}
         figure_14(columns, out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:

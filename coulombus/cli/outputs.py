@@ -15,7 +15,7 @@ from coulombus.cli.option_types import PICTURE, RecordingPlace
 
 if TYPE_CHECKING:
     from coulombus.host.run.markers import BitMark
-    from coulombus.host.run.outputs import Outputs
+    from coulombus.host.run.run import Outputs
     from coulombus.rigs.rig import Rig
 
 __all__ = ["OutputOptions", "outputs_options"]
@@ -76,7 +76,7 @@ class OutputOptions:
         """
         from dataclasses import replace
 
-        from coulombus.host.run.outputs import Outputs
+        from coulombus.host.run.run import Outputs
         from coulombus.recording.segments import parse_rotation, parse_size
 
         rotation = None if self.rotate is None else parse_rotation(self.rotate)

@@ -90,6 +90,7 @@ def run_command(
     with errors():
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
+        from coulombus.host.run.run import OUTSIDE, Run
         from coulombus.host.run.runbook import advice  # before the run: at its end files can no longer be opened
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.overrides import shared_machine as wider
@@ -127,15 +128,11 @@ def run_command(
         with page.beside(chosen, address) as stay:
             with Signals() as signals, progress(not as_json, width=10) as report:
                 result = real_run(
-                    rig,
-                    mode,
-                    seconds,
+                    Run(rig, mode, seconds, world=OUTSIDE if world else None, outputs=out, virtual=False),
                     bus=tuple(addresses.values()),
-                    outputs=out,
                     signals=signals,
                     progress=lambda t, axes: report(mode, t, seconds, _state(axes)),
                     cpu=cpu,
-                    world=world,
                 )
             with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
                 _say_what_to_do(result.trip, advice, shared_machine)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import (
@@ -17,20 +18,21 @@ from coulombus.cli.common import (
     json_option,
     mode_option,
     record_option,
+    rig_option,
     script_option,
     seconds_option,
     seed_option,
+    set_option,
     verdict,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import OutputFile
-from coulombus.cli.rig_options import RigOptions, rig_options
+from coulombus.cli.option_types import InputPath, OutputFile
+from coulombus.cli.rig_options import RigOptions
 from coulombus.cli.run_table import print_runs
 from coulombus.cli.tables import echo, progress
 
 if TYPE_CHECKING:
-    from coulombus.rigs.rig import Rig
-    from coulombus.sim_bus.network.script import Entry
+    from coulombus.host.run.run import Run
 
 __all__ = ["simulate_command"]
 
@@ -45,17 +47,47 @@ class Files:
 
 
 @dataclass(frozen=True)
-class Events:
-    """Events of the run besides the rig's schedule, from the options."""
+class RunOptions(RigOptions):
+    """A run in virtual time, from the options."""
 
+    mode: str
+    seconds: float | None
+    seed: int
     faults: Path | None
     script: Path | None
+    law: str | None
+    like: Path | None
 
-    def entries(self, rig: Rig) -> tuple[Entry, ...]:
-        """Return the script file's entries for the nodes of `rig`."""
-        from coulombus.sim_bus.network.script import read_script
+    def run(self) -> Run:
+        """Return the run, without outputs: that of the options, or that of a recording."""
+        from coulombus.host.run.run import NamedText, Run, recorded_run
+        from coulombus.sim_bus.faults.fault_file import FaultError
+        from coulombus.sim_bus.network.script import ScriptError
 
-        return () if self.script is None else read_script(self.script, [node.name for node in rig.nodes])
+        if self.like is not None:
+            _refuse_beside_like()
+            return recorded_run(self.like, law=self.law, seconds=self.seconds)
+        rig = self.load()
+        if self.law is not None:
+            rig = rig.with_law(self.law)
+        check_mode(rig, self.rig_name, self.mode)
+        return Run(
+            rig,
+            self.mode,
+            display_s(rig, self.seconds),
+            self.seed,
+            faults=None if self.faults is None else NamedText.read(self.faults, "fault file", FaultError),
+            script=None if self.script is None else NamedText.read(self.script, "script", ScriptError),
+        )
+
+
+def _refuse_beside_like() -> None:
+    """Refuse options that describe a run beside --like, which names the whole run."""
+    context = click.get_current_context()
+    names = ("rig_name", "overrides", "mode", "seed", "faults", "script")
+    for option in context.command.params:
+        if option.name in names and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{option.opts[0]}: --like repeats the run of a recording as it was: leave it out")
 
 
 files_options = bundle(
@@ -70,28 +102,25 @@ files_options = bundle(
         help="Save the plant's true states there, at its own step: time, angle, speed, torques, works.",
     ),
 )
-events_options = bundle("events", Events, faults_option, script_option)
+run_options = bundle(
+    "chosen",
+    RunOptions,
+    *(rig_option, set_option, mode_option, seconds_option, seed_option, faults_option, script_option),
+    click.option("--law", metavar="NAME", help="Display this law: one of `coulombus law`, or FILE.py:FUNCTION."),
+    click.option(
+        "--like",
+        type=InputPath(),
+        metavar="F.pcapng",
+        help="Repeat the run of this recording: a simulated one to the byte. Its own law's file is named by --law.",
+    ),
+)
 
 
 @click.command("simulate", epilog=EXIT_STATUS)
-@rig_options
-@mode_option
-@seconds_option
+@run_options
 @files_options
-@seed_option
-@events_options
-@click.option("--law", metavar="NAME", help="Display this law: one of `coulombus law`, or FILE.py:FUNCTION.")
 @json_option
-def simulate_command(
-    chosen: RigOptions,
-    mode: str,
-    seconds: float | None,
-    files: Files,
-    seed: int,
-    events: Events,
-    law: str | None,
-    as_json: bool,
-) -> None:
+def simulate_command(chosen: RunOptions, files: Files, as_json: bool) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
 
     The run lasts from the drive's Operation Enabled, where the operator's schedule begins.
@@ -105,35 +134,24 @@ def simulate_command(
       coulombus simulate --truth truth.npz --record run.pcapng --seed 7
       coulombus simulate --script script.toml --record run.pcapng
       coulombus simulate --law lugre --set law.lugre.F_s_Nm=1.4 --mode active --record lugre.pcapng
+      coulombus simulate --like run.pcapng --record again.pcapng
     """
     with errors():
-        from coulombus.lab.simulate import simulate
+        from dataclasses import replace
+
+        from coulombus.host.run.run import Outputs
+        from coulombus.lab.simulate import virtual_run
         from coulombus.sim_bus.faults.lines import injected_lines
 
-        rig = chosen.load()
-        if law is not None:
-            rig = rig.with_law(law)
-        check_mode(rig, chosen.rig_name, mode)
-        total = display_s(rig, seconds)
-        entries = events.entries(rig)
+        outputs = Outputs(record=files.record, truth=files.truth, force=files.overwrite)
+        run = replace(chosen.run(), outputs=outputs)
         with progress(not as_json) as report:
-            result = simulate(
-                rig,
-                mode,
-                total,
-                record=files.record,
-                seed=seed,
-                truth=files.truth,
-                script=lambda world: world.plan(entries),
-                faults=events.faults,
-                progress=lambda t: report(mode, t, total),
-                force=files.overwrite,
-            )
+            result = virtual_run(run, progress=lambda t: report(run.mode, t, run.seconds))
         remark((*(result.opened or ()), *(result.losses or ())))
         with verdict(result.exit_status):
             if as_json:
                 print_json(result.as_dict())
             else:
-                print_runs({mode: result})
+                print_runs({run.mode: result})
                 for line in injected_lines(result.faults, result.controllers):
                     echo(line)

@@ -8,11 +8,10 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.errors import nearest, shown
 from coulombus.rigs.rig import Rig, RigError, load_rig
 from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
+from coulombus.rigs.toml_lines import Document, Key, read_text, read_toml
 from coulombus.sim_bus.faults.error_text import WANTED
 
 __all__ = ["FileMistakes", "read_checked", "rig_beside"]
@@ -71,24 +70,11 @@ def _one_line(text: str) -> str:
     return text.replace("\r", "\\r").replace("\n", "\\n")
 
 
-def _text_of(path: Path, what: str, error: type[Exception]) -> str:
-    """Return the text of the file `path`; raise `error` with the reason if it cannot be read."""
-    try:
-        raw = read_regular(path, MOST_CHARACTERS)
-    except OSError as reason:
-        raise error(f"{path}: the {what} file cannot be read ({reason.strerror or reason})") from None
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as reason:
-        line = raw.count(b"\n", 0, reason.start) + 1
-        raise error(f"{path}:{line}: byte {raw[reason.start]:02X}h is not UTF-8; save the file as UTF-8") from None
-
-
 def read_checked(path: Path, what: str, model: type[M], error: type[Exception]) -> tuple[str, M, FileMistakes]:
     """Return the text of the file `path`, its values validated by `model`, and a collector for
     further errors; raise `error` with a line for each error.
     """
-    text = _text_of(path, what, error)
+    text = read_text(path, f"{what} file", error)
     document = read_toml(text)
     if document.problems:
         raise error("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))

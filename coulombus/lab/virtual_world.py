@@ -10,7 +10,7 @@ from coulombus.host.world.model_parts import Model, PlaneProfile, TorqueProfile,
 from coulombus.host.world.records import StateRecord
 from coulombus.host.world.state import RUN, State, state_of
 from coulombus.kernels.records import new_records
-from coulombus.rigs.arguments import WrongCall, a_number
+from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.clock import bus_ns
@@ -64,13 +64,6 @@ class VirtualWorld:
     """
 
     def __init__(self, function: WorldFunction, every: int = 1) -> None:
-        if not callable(function):
-            raise WrongCall(
-                f"world is {function!r}: expected a function, as in simulate(world=lambda state: Wall(0.0, 2.0))"
-            )
-        a_number(every, "world_every", "5", whole=True)
-        if every < 1:
-            raise WrongCall(f"world_every is {every!r}: expected 1 or more")
         self._function, self._every = function, every
         self._record = new_records(StateRecord)[0]
         self._said: list[_Said] = []

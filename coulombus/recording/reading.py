@@ -35,7 +35,7 @@ from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["HOST", "RIG", "Blocks", "blocks", "captures", "has_rig", "read"]
+__all__ = ["HOST", "RIG", "Blocks", "attached_rig", "blocks", "captures", "has_rig", "read"]
 
 KEPT_BYTES, PACKED_SHARE = 1 << 26, 16
 """Size of the longest recording that `read` keeps: three minutes of one axis; compressed bytes count as so many."""
@@ -162,7 +162,7 @@ def _inside(rig: Rig, recorded: str, attached: bytes | None) -> tuple[RigPdo, ..
 def _known_rig(captures: Iterable[Capture], rig: Rig | str | os.PathLike[str] | None, eds: EdsFiles) -> Rig | None:
     """Return the given rig, else without EDS files the attached one."""
     if rig is None:
-        return None if eds else _attached_rig(captures)
+        return None if eds else attached_rig(captures)
     return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
@@ -175,7 +175,7 @@ def _learned(captures: Iterable[Capture], eds: EdsFiles) -> LogMaps:
     return maps
 
 
-def _attached_rig(captures: Iterable[Capture]) -> Rig | None:
+def attached_rig(captures: Iterable[Capture]) -> Rig | None:
     """Return the rig attached to a recording, or None; only the beginning of the file is read."""
     texts: dict[str, str] = {}
     damage: list[str] = []

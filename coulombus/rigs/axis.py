@@ -80,6 +80,7 @@ class Origin:
     overrides : as given; the last of a key counts
     attached : the text comes from a recording, which may be untrusted
     law_named : the caller who loaded the rig named its law
+    law_folder : folder of the law's file, if the caller named it
     """
 
     path: str
@@ -87,6 +88,7 @@ class Origin:
     overrides: tuple[str, ...] = ()
     attached: bool = False
     law_named: bool = False
+    law_folder: Path | None = None
 
     def source(self, axis: str = "") -> Source:
         """Return the `Source` of an axis' values."""
@@ -207,7 +209,7 @@ class Axis(Sections):
     @property
     def law_directory(self) -> Path:
         """Folder searched for a law's file before the current one: the rig file's, never a recording's."""
-        return Path() if self.origin.attached else Path(self.origin.path).parent
+        return self.origin.law_folder or (Path() if self.origin.attached else Path(self.origin.path).parent)
 
     def said(self, text: str) -> str:
         """Return `text` with its rig-file keys as the user wrote them: ``axis.NAME.limits.travel_rad`` if this axis has

@@ -199,8 +199,9 @@ class Rig:
         return self._as_said(load_rig_text(text, self.path, texts, attached=self.origin.attached))
 
     def _as_said(self, rig: Rig) -> Rig:
-        """Copy the provenance of the law (`law_named`) onto `rig`."""
-        return _from(rig, replace(rig.origin, law_named=self.origin.law_named or rig.origin.law_named))
+        """Copy the provenance of the law (`law_named`, `law_folder`) onto `rig`."""
+        law_named = self.origin.law_named or rig.origin.law_named
+        return _from(rig, replace(rig.origin, law_named=law_named, law_folder=self.origin.law_folder))
 
     def on(self, channel: str) -> Rig:
         """Return the rig's part on the bus `channel`: only its axes."""
@@ -290,6 +291,10 @@ class Rig:
         named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
         return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
 
+    def with_law_in(self, folder: Path) -> Rig:
+        """Return the rig of a recording whose law's file the caller names: it is in `folder`."""
+        return _from(self, replace(self.origin, law_named=True, law_folder=folder))
+
     def with_world(self) -> Rig:
         """Return the rig with [world]; unchanged if all its axes have it."""
         return self if all(axis.world is not None for axis in self.axes) else self.variant('world.rest="law"')
@@ -310,7 +315,7 @@ class Rig:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reload, (self.effective(), self.path, dict(self.eds_texts), self.origin.attached, self.origin.law_named)
+        return _reload, (self.effective(), dict(self.eds_texts), self.origin)
 
 
 def _from(rig: Rig, origin: Origin) -> Rig:
@@ -334,9 +339,9 @@ def _alone(joint: Axis) -> str:
     return _spelled(joint.rig.name, values)
 
 
-def _reload(text: str, path: str, eds_texts: Mapping[str, str], attached: bool, law_named: bool) -> Rig:
-    rig = load_rig_text(text, path, eds_texts, attached=attached)
-    return _from(rig, replace(rig.origin, law_named=law_named))
+def _reload(text: str, eds_texts: Mapping[str, str], origin: Origin) -> Rig:
+    rig = load_rig_text(text, origin.path, eds_texts, attached=origin.attached)
+    return _from(rig, replace(rig.origin, law_named=origin.law_named, law_folder=origin.law_folder))
 
 
 def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig:

@@ -11,9 +11,12 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeAlias
 
-__all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "read_toml", "split_key"]
+from coulombus.eds.regular_file import read_regular
+
+__all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "read_text", "read_toml", "split_key"]
 
 Key: TypeAlias = tuple[str | int, ...]
 """Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
@@ -117,6 +120,19 @@ def _excess(text: str) -> tuple[int, str] | None:
             nested = f"more than {MOST_NESTED} brackets within each other; expected a list of values"
             return line, f"'{_short(token[0])}' begins {reasons[what]}" if what in reasons else nested
     return None
+
+
+def read_text(path: Path, kind: str, error: type[Exception]) -> str:
+    """Return the text of the file `path`, a `kind`; raise `error` with the reason if it cannot be read."""
+    try:
+        raw = read_regular(path, MOST_CHARACTERS)
+    except OSError as reason:
+        raise error(f"{path}: the {kind} cannot be read ({reason.strerror or reason})") from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        line = raw.count(b"\n", 0, reason.start) + 1
+        raise error(f"{path}:{line}: byte {raw[reason.start]:02X}h is not UTF-8; save the file as UTF-8") from None
 
 
 def read_toml(text: str) -> Document:

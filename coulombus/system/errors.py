@@ -56,6 +56,7 @@ CoulombusError
 +-- MotionFileError              3   host.laws.path
 +-- NeedsLinux                   4   system.c_library             ImportError
 +-- NodeError                    2   sim_bus.server.live_nodes    ValueError
++-- NotRepeatable                2   host.run.run
 +-- NotToTheRig                  7   cli.replay
 +-- ParameterError               2   analysis.theory.operators    ValueError
 +-- PcapngError                  2   recording.pcapng_blocks

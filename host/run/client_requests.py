@@ -12,7 +12,7 @@ from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.changes import Changes
 from coulombus.host.run.last_word import wall_time
 from coulombus.host.run.markers import marker_of
-from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.run import Outputs
 from coulombus.host.run.run_sequence import Course
 from coulombus.host.run.run_state import axis_state, plane_state
 from coulombus.host.run.status_socket import StatusSocket, encoded

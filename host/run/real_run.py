@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.run import Run
 from coulombus.host.run.run_state import Progress
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file
 from coulombus.rigs.buses import bus_addresses
-from coulombus.rigs.rig import Rig
 from coulombus.system.exit import say
 from coulombus.system.realtime import default_cpu
 from coulombus.system.stop_signals import Signals
@@ -21,34 +21,26 @@ from coulombus.wire.address import BusAddress
 
 __all__ = ["real_run"]
 
-NOTHING = Outputs()
-
 
 def real_run(
-    rig: Rig,
-    mode: str,
-    seconds: float | None,
+    run: Run,
     *,
     bus: BusAddress | Sequence[BusAddress] | None = None,
-    outputs: Outputs = NOTHING,
     signals: Signals | None = None,
     progress: Progress | None = None,
     cpu: int | None = None,
-    world: bool = False,
 ) -> RunResult:
     """Run the host on a bus and return the result.
 
     Parameters
     ----------
-    mode : ``active``, ``passive`` or ``hybrid``
-    seconds : length of the display, from Operation Enabled on; None: until it is stopped
+    run : the display's figures are computed from its recording; with a `world` a program outside is let in
+        (docs/worlds.md), and a rig without [world] gets the section
     bus : the bus, or a bus for each of `Rig.channels`; default is the virtual bus with the rig's name, or
         those of its buses (`rigs.buses`)
-    outputs : output files; the display's figures are computed from the recording
     signals : entered by the caller; a signal then ends the run safely
     progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
     cpu : CPU of the data plane; default is the last CPU that this process may use
-    world : let a world outside in (docs/worlds.md); a rig without [world] gets the section
 
     Raises
     ------
@@ -60,42 +52,40 @@ def real_run(
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
     """
-    addresses = (
-        tuple(bus_addresses(rig).values()) if bus is None else (bus,) if isinstance(bus, BusAddress) else tuple(bus)
-    )
-    rig = rig.with_world() if world else rig
+    rig = run.rig.with_world() if run.world else run.rig
+    run = replace(run, rig=rig, virtual=False)
+    if bus is None:
+        bus = tuple(bus_addresses(rig).values())
+    addresses = (bus,) if isinstance(bus, BusAddress) else tuple(bus)
     with refusing():
         for address in addresses:
             check_no_rehearsal(rig, address)
             check_no_guess(rig, address)
             check_no_delay(rig, address)
         check_plan(rig)
-        check_demand(rig, mode)
-        run = RealCourse(
-            rig,
-            mode,
+        check_demand(rig, run.mode)
+        course = RealCourse(
+            run,
             addresses,
-            outputs,
             signals=signals or Signals(),
             progress=progress,
             cpu=default_cpu() if cpu is None else cpu,
-            world=world,
         )
     try:
         try:
             with refusing():
-                run.prepare()
-                run.course(seconds)
+                course.prepare()
+                course.course(run.seconds)
         finally:
-            run.end()
-        result = run.concluded()
-        picture = outputs.histogram
+            course.end()
+        result = course.concluded()
+        picture = run.outputs.histogram
         if picture is not None:
             from coulombus.host.run.histogram import draw_histograms
 
             try:
-                with new_file(picture, force=outputs.force) as path:
-                    draw_histograms(*run.histograms(), rig.bus.period_s * 1e6, path)
+                with new_file(picture, force=run.outputs.force) as path:
+                    draw_histograms(*course.histograms(), rig.bus.period_s * 1e6, path)
             except OSError as error:
                 if result.exit_status == 0:
                     raise
@@ -104,4 +94,4 @@ def real_run(
                 )  # a missing figure must not hide a trip
         return result
     finally:
-        run.close()
+        course.close()

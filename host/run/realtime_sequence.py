@@ -29,9 +29,9 @@ from coulombus.host.run.deadman_external import switch_of
 from coulombus.host.run.histogram import Counts
 from coulombus.host.run.last_word import forget_word, leave_word, wall_time
 from coulombus.host.run.markers import BitMarks, StruckKeys
-from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.preflight import place_of
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.run import Run
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.run_state import Progress, with_states
@@ -41,7 +41,6 @@ from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.segments import SegmentedRecorder
-from coulombus.rigs.rig import Rig
 from coulombus.system.exit import say
 from coulombus.system.keyboard import Keys, in_foreground
 from coulombus.system.sd_notify import Notifier
@@ -63,21 +62,19 @@ class RealCourse(Course):
 
     def __init__(
         self,
-        rig: Rig,
-        mode: str,
+        run: Run,
         addresses: Sequence[BusAddress],
-        outputs: Outputs,
         *,
         signals: Signals,
         progress: Progress | None,
         cpu: int | None,
-        world: bool = False,
     ) -> None:
-        self.rig, self.signals = rig, signals
+        rig, outputs, self.signals = run.rig, run.outputs, signals
+        self.rig = rig
         self.buses, self.address = ", ".join(map(str, addresses)), max(addresses, key=lambda bus: bus.moves_hardware)
-        self.deadman = deadman_of(rig, mode, self.address)
+        self.deadman = deadman_of(rig, run.mode, self.address)
         self.zero_ns = time.monotonic_ns()
-        controllers = Controllers(rig, mode)
+        controllers = Controllers(rig, run.mode)
         super().__init__(controllers, outputs.record, with_states(progress, controllers))
         self.error: str | None = None  # error of this process while the rig was armed
         self._fate = ""  # how the data plane's process ended
@@ -98,7 +95,7 @@ class RealCourse(Course):
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
             self.changes = Changes(parameters, new_arm_key(self.address), self._apply, self._why_no_change)
-            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, self.address if world else None)
+            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, self.address if run.world else None)
             self._stack.callback(self.world.close)
             self.answers = Answers(self, self.plane, self.changes, self.buses, outputs)
             self._stack.callback(self.answers.close)
@@ -107,7 +104,7 @@ class RealCourse(Course):
             self.control = RealControlPlane(rig, *addresses)
             self._stack.callback(self.control.close)
             self._bits = BitMarks(outputs.mark_on, rig)
-            self.recorder = begin_recording(outputs, self.k, self.zero_ns)
+            self.recorder = begin_recording(run, self.k, self.zero_ns)
             if isinstance(self.recorder, SegmentedRecorder):
                 self.path = self.recorder.run
             self.plane.tell_recording(self.path, self.zero_ns)

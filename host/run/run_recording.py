@@ -10,7 +10,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.markers import BitMarks
-from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.run import Run
 from coulombus.recording.host_telemetry import SOURCE_INSIDE
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.segments import SegmentedRecorder
@@ -22,22 +22,25 @@ __all__ = ["Batch", "StampOrder", "begin_recording"]
 HOLD_BACK_NS = 50_000_000  # frames enter the log slightly out of order; younger ones wait for the next batch
 
 
-def begin_recording(outputs: Outputs, k: Controllers, zero_ns: int) -> Recorder | None:
-    """Begin the recording at ``outputs.record``; return None if that is None.
+def begin_recording(run: Run, k: Controllers, zero_ns: int | None = None) -> Recorder | None:
+    """Begin the recording of a run, or of its part on the bus of the controllers `k`; None if none is wanted.
 
-    `zero_ns`, of CLOCK_MONOTONIC, is time 0 of the recording. The recording contains the wall clock's time
-    at this instant.
+    `zero_ns`, of CLOCK_MONOTONIC, is time 0 of the recording, and the recording contains the wall clock's
+    time at this instant; None: virtual time.
 
     Raises
     ------
     coulombus.recording.pcapng_blocks.RecordingError
         the file exists, or cannot be created
     """
-    path, rig, mode = outputs.record, k.rig, k.mode
+    outputs, rig = run.outputs, k.rig
+    path = outputs.record
     if path is None:
         return None
-    started_ns, more, comment = wall_clock(zero_ns)
-    more |= meta_attachment(outputs.meta)
+    started_ns, more, comment = 0, run.attachments(rig), ""
+    if zero_ns is not None:
+        started_ns, clock, comment = wall_clock(zero_ns)
+        more |= clock | meta_attachment(outputs.meta)
     about = About(
         law=law_attachments(rig),
         law_state=k.each[0].law_state,
@@ -46,8 +49,8 @@ def begin_recording(outputs: Outputs, k: Controllers, zero_ns: int) -> Recorder 
         started_ns=started_ns,
     )
     if outputs.rotation is None:
-        return Recorder(path, rig, mode, about=about, force=outputs.force)
-    return SegmentedRecorder(path, rig, mode, outputs.rotation, about)
+        return Recorder(path, rig, run.mode, run.seed if run.virtual else None, about=about, force=outputs.force)
+    return SegmentedRecorder(path, rig, run.mode, outputs.rotation, about)
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
+from coulombus.rigs.toml_lines import Document, Key, read_text, read_toml
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT
 from coulombus.sim_bus.can_bus.records import MAX_FAULTS
 from coulombus.sim_bus.faults.error_text import mistakes
@@ -310,10 +309,11 @@ class _File(_Strict):
 @dataclass(frozen=True)
 class FaultPlan:
     """Contents of a fault file, or its part for one bus; `faults` and `controllers` map to the positions in
-    the file, `lines` to the line numbers.
+    the file, `lines` to the line numbers; `text` is the whole file.
     """
 
     path: str
+    text: str
     file: _File
     lines: tuple[int, ...]
     document: Document
@@ -379,16 +379,7 @@ def read_faults(path: Path) -> FaultPlan:
     FaultError
         the file is unreadable, or has mistakes; the text has a line for each, with file and line
     """
-    try:
-        raw = read_regular(path, MOST_CHARACTERS)
-    except OSError as error:
-        raise FaultError(f"{path}: the fault file cannot be read ({error.strerror or error})") from None
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise FaultError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
-    return faults_of(text, str(path))
+    return faults_of(read_text(path, "fault file", FaultError), str(path))
 
 
 def faults_of(text: str, path: str) -> FaultPlan:
@@ -414,4 +405,4 @@ def faults_of(text: str, path: str) -> FaultPlan:
     if not file.fault and not file.controller:
         raise FaultError(f"{path}: it has no fault; expected [[fault]] or [[controller]], once for each (docs/bus.md)")
     lines = tuple(document.line(("fault", n)) for n in range(len(file.fault)))
-    return FaultPlan(path, file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))
+    return FaultPlan(path, text, file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))

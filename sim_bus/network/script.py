@@ -22,16 +22,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coulombus.eds.cia301 import NmtCommand
-from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
+from coulombus.rigs.toml_lines import read_text, read_toml
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
-__all__ = ["Entry", "ScriptError", "faults_of", "read_script"]
+__all__ = ["Entry", "ScriptError", "faults_of", "read_script", "script_of"]
 
 NODES = {"motor": MOTOR, "brake": BRAKE}
 ACTIONS = ("power_off", "power_on", "reset", "fault", "clear")
@@ -95,14 +94,12 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
     ScriptError
         The file is no TOML, or an entry is invalid.
     """
-    try:
-        raw = read_regular(path, MOST_CHARACTERS)
-        document = read_toml(raw.decode("utf-8-sig"))
-    except OSError as error:
-        raise ScriptError(f"{path}: the script cannot be read ({error.strerror or error})") from None
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise ScriptError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
+    return script_of(read_text(path, "script", ScriptError), str(path), nodes)
+
+
+def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
+    """Return the entries of a script's text; errors name it `path`; nodes and errors as of `read_script`."""
+    document = read_toml(text)
     if document.problems:
         raise ScriptError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
     table = document.values

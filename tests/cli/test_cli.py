@@ -223,8 +223,8 @@ def test_a_fault_file_given_as_a_script_is_told_so():
 def test_a_trip_for_want_of_tpdos_says_what_to_do_on_a_shared_machine(monkeypatch, options, cycles, told):
     import coulombus.host.run.real_run
 
-    def tripped(rig, *_, **__):
-        assert rig.one_axis().limits.missed_tpdo_cycles == cycles
+    def tripped(run, **_):
+        assert run.rig.one_axis().limits.missed_tpdo_cycles == cycles
         return SimpleNamespace(trip="TPDO_LOST: for want of some", exit_status=7, as_dict=dict)
 
     monkeypatch.setattr(coulombus.host.run.real_run, "real_run", tripped)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from coulombus.eds.cia301 import CobId
-from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
+from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.replay.virtual_replay import virtual_replay
 from coulombus.lab.simulate import simulate
@@ -106,7 +106,7 @@ def test_a_lost_bus_trips_both_joints_and_the_other_brake_is_ramped_off(private_
                     cut.append(slot)
 
     try:
-        result = real_run(rig, "hybrid", 30.0, outputs=Outputs(record=path), progress=cut_second_bus)
+        result = real_run(Run(rig, "hybrid", 30.0, outputs=Outputs(record=path)), progress=cut_second_bus)
     finally:
         server.stop()
         thread.join()

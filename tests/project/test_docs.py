@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
 
 import click
 import pytest
@@ -208,6 +209,26 @@ def test_devices_show_the_pdos_the_objects_and_the_emergencies():
             register = f"{cause.register | 1:02X}h"
             row = rf"\| {cause.code:04X}h \| [^|]+ \| {register} \| {'yes' if cause.fault else 'no'} \|"
             assert re.search(row, text), cause.name
+
+
+def missing_names(text):
+    """Return the names of code that a text places in a file, as "`LAWS` of `host/laws/laws.py`", and that are not there."""
+    placed = re.findall(r"`([A-Za-z_]\w*)(?:\([^`]*\))?`\s+(?:of|in)\s+`([\w/]+\.py)`", text)
+    sources = {file: next(filter(Path.is_file, (ROOT / file, ROOT / "coulombus" / file)), None) for _, file in placed}
+    return [
+        (name, file)
+        for name, file in placed
+        if sources[file] is None or not re.search(rf"\b{name}\b", sources[file].read_text())
+    ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_of_code_stands_in_its_file(name):
+    assert missing_names(text_of(name)) == []
+
+
+def test_a_name_that_is_gone_is_noticed():
+    assert len(missing_names("`LAWS`\nof `host/laws/laws.py`, `GONE` of `host/laws/laws.py`, `A` in `gone.py`")) == 2
 
 
 @pytest.mark.parametrize("name", WITH_CHANGES)

@@ -8,20 +8,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from coulombus.host.run.result import RunResult
-from coulombus.lab.simulate import simulate
+from coulombus.host.run.run import Outputs, Run
+from coulombus.lab.simulate import virtual_run
 from coulombus.rigs.rig import Rig
 
-__all__ = ["DEMO_MODES", "Criterion", "Demo", "Display", "criteria_as_dicts", "displays", "judge", "run_demo"]
+__all__ = ["DEMO_MODES", "TITLES", "Criterion", "Demo", "criteria_as_dicts", "displays", "judge", "run_demo"]
 
 DEMO_MODES = ("active", "hybrid")
 """The paper's comparison."""
 SAME = "hybrid-as-active"
 """The hybrid display with the active display's friction."""
+TITLES = {
+    "active": "active: motor alone",
+    "hybrid": "hybrid: motor and brake",
+    SAME: "hybrid, friction as active",
+    "passive": "passive: brake alone",
+}
+"""Titles of the displays' columns, by the name of their files."""
 
 ACTIVE_RMS_RAD_S = (0.1, 3.0)
 ACTIVE_FLIPS_PER_S = 20.0
@@ -41,29 +49,15 @@ class Criterion:
     """None if the rig lacks the measurement."""
 
 
-@dataclass(frozen=True)
-class Display:
-    """One run of the demo: its column title, mode, and rig."""
-
-    title: str
-    mode: str
-    rig: Rig
-
-
-def displays(rig: Rig) -> dict[str, Display]:
-    """Return the displays by the name of their files: the paper's comparison, hybrid at the active
-    display's friction, and the brake alone if the rig has that mode.
+def displays(rig: Rig, seed: int = 0) -> dict[str, Run]:
+    """Return the runs by the name of their files, those of `TITLES`: the paper's comparison, hybrid at the
+    active display's friction, and the brake alone if the rig has that mode.
     """
-    active = rig.one_axis().mode["active"]
+    active, seconds = rig.one_axis().mode["active"], rig.schedule_s
     same = rig.variant(f"mode.hybrid.F_s_Nm={active.F_s_Nm}", f"mode.hybrid.F_d_Nm={active.F_d_Nm}")
-    shown = {
-        "active": Display("active: motor alone", "active", rig),
-        "hybrid": Display("hybrid: motor and brake", "hybrid", rig),
-        SAME: Display("hybrid, friction as active", "hybrid", same),
-    }
-    if "passive" in rig.modes:
-        shown["passive"] = Display("passive: brake alone", "passive", rig)
-    return shown
+    runs = {mode: Run(rig, mode, seconds, seed) for mode in DEMO_MODES}
+    runs[SAME] = Run(same, "hybrid", seconds, seed)
+    return runs | {mode: Run(rig, mode, seconds, seed) for mode in ("passive",) if mode in rig.modes}
 
 
 @dataclass(frozen=True)
@@ -145,23 +139,15 @@ def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[st
     Write recordings and ``demo.json`` under `directory`, replacing earlier ones.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    seconds = rig.schedule_s
     results = {}
-    for name, display in displays(rig).items():
+    for name, run in displays(rig, seed).items():
 
         def report(t_s: float, name: str = name) -> None:
             if progress is not None:
                 progress(name, t_s)
 
-        results[name] = simulate(
-            display.rig,
-            display.mode,
-            seconds,
-            record=directory / f"{name}.pcapng",
-            seed=seed,
-            progress=report,
-            force=True,
-        )
+        outputs = Outputs(record=directory / f"{name}.pcapng", force=True)
+        results[name] = virtual_run(replace(run, outputs=outputs), progress=report)
     demo = Demo(results, judge(rig, results))
     (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
     return demo

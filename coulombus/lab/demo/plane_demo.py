@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.demo.demo import Criterion, criteria_as_dicts
 from coulombus.lab.plane_figures import TipSamples, tip_samples
-from coulombus.lab.simulate import simulate
+from coulombus.lab.simulate import virtual_run
 from coulombus.recording.measures import HOLD_LEAD_S, HOLD_TAIL_S
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.rig import Rig
@@ -197,16 +198,9 @@ def run_plane_demo(
                 progress(mode, t_s)
 
         worlds: list[VirtualRig] = []
-        result = simulate(
-            rig,
-            mode,
-            rig.schedule_s,
-            record=directory / f"{mode}.pcapng",
-            seed=seed,
-            script=worlds.append,
-            progress=report,
-            force=True,
-        )
+        outputs = Outputs(record=directory / f"{mode}.pcapng", force=True)
+        run = Run(rig, mode, rig.schedule_s, seed, outputs=outputs)
+        result = virtual_run(run, progress=report, on_world=worlds.append)
         (world,) = worlds
         model, enabled_ns = world.controllers.plane_model, world.enabled_ns
         assert model is not None

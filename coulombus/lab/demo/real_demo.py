@@ -13,9 +13,9 @@ from pathlib import Path
 from types import TracebackType
 
 from coulombus.host.errors import HostError
-from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.run import Outputs, Run
 from coulombus.host.setup.bringup import check_plan
 from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
 from coulombus.lab.warm_up import warm_up
@@ -104,7 +104,6 @@ def run_real_demo(
     """
     check_plan(rig)
     directory.mkdir(parents=True, exist_ok=True)
-    seconds = rig.schedule_s
     results: dict[str, RunResult] = {}
     warm_up(arm=rig.kinematics is not None)
     with ExitStack() as stack:
@@ -120,17 +119,10 @@ def run_real_demo(
                 if progress is not None:
                     progress(mode, t_s)
 
-            results[mode] = real_run(
-                rig,
-                mode,
-                seconds,
-                bus=sim.address,
-                outputs=Outputs(
-                    record=directory / f"{mode}.pcapng", histogram=directory / f"{mode}-timing.png", force=True
-                ),
-                signals=signals,
-                progress=report,
-            )
+            picture = directory / f"{mode}-timing.png"
+            outputs = Outputs(record=directory / f"{mode}.pcapng", histogram=picture, force=True)
+            run = Run(rig, mode, rig.schedule_s, outputs=outputs, virtual=False)
+            results[mode] = real_run(run, bus=sim.address, signals=signals, progress=report)
             if signals is not None and signals.number:
                 raise Stopped(signals.number, "before the demo was over")
     demo = Demo(results, judge(rig, results))

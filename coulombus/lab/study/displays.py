@@ -1,6 +1,6 @@
 """Where a display is shown: in virtual time on the simulated rig, or on a bus.
 
-Each is a whole run, brought up, armed and safely ended like any other. `stop` may be called from
+Each is a `Run` of its own, brought up, armed and safely ended like any other. `stop` may be called from
 another thread at any time: the display that is on ends safely, and none begins behind it.
 """
 
@@ -9,38 +9,23 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 from typing import Protocol
 
 from coulombus.host.run.result import RunResult
-from coulombus.lab.simulate import simulate
-from coulombus.rigs.rig import Rig
+from coulombus.host.run.run import Run
+from coulombus.lab.simulate import virtual_run
 from coulombus.wire.address import BusAddress
 
-__all__ = ["BusDisplays", "Display", "Displays", "VirtualDisplays"]
+__all__ = ["BusDisplays", "Displays", "VirtualDisplays"]
 
 AGAIN_S = 0.05
-
-
-@dataclass(frozen=True)
-class Display:
-    """One display of a trial: the order to show it."""
-
-    rig: Rig
-    mode: str
-    seconds: float
-    record: Path
-    seed: int
-    subject: str
-    trial: int
-    number: int
 
 
 class Displays(Protocol):
     """Shows one display after the other."""
 
-    def __call__(self, display: Display) -> RunResult:
+    def __call__(self, display: Run) -> RunResult:
         """Show it, and return what came of it."""
 
     def stop(self) -> None:
@@ -50,11 +35,9 @@ class Displays(Protocol):
 class VirtualDisplays:
     """Shows in virtual time, to the simulated hand."""
 
-    def __call__(self, display: Display) -> RunResult:
+    def __call__(self, display: Run) -> RunResult:
         """Show it, and return what came of it."""
-        return simulate(
-            display.rig, display.mode, display.seconds, record=display.record, seed=display.seed, force=True
-        )
+        return virtual_run(display)
 
     def stop(self) -> None:
         """Do nothing: a display in virtual time is over at once, and no hand is there."""
@@ -73,21 +56,18 @@ class BusDisplays:
         self._over = threading.Event()
         self._over.set()
 
-    def __call__(self, display: Display) -> RunResult:
+    def __call__(self, display: Run) -> RunResult:
         """Show it, and return what came of it."""
-        from coulombus.host.run.outputs import Outputs
         from coulombus.host.run.real_run import real_run
         from coulombus.system.stop_signals import Signals
 
-        meta = {"subject": display.subject, "trial": str(display.trial), "display": str(display.number)}
-        outputs = Outputs(record=display.record, meta=meta, force=True)
-        rig, bus = display.rig.variant(*self._more), self._address
+        run = replace(display, rig=display.rig.variant(*self._more), virtual=False)
         self._over.clear()
         try:
             if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
-                return real_run(rig, display.mode, display.seconds, bus=bus, outputs=outputs)
+                return real_run(run, bus=self._address)
             with Signals() as signals:
-                return real_run(rig, display.mode, display.seconds, bus=bus, outputs=outputs, signals=signals)
+                return real_run(run, bus=self._address, signals=signals)
         finally:
             self._over.set()
 

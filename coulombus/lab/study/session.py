@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from coulombus.host.run.result import RunResult
-from coulombus.lab.study.displays import Display, Displays
+from coulombus.host.run.run import Outputs, Run
+from coulombus.lab.study.displays import Displays
 from coulombus.lab.study.study_folder import SubjectFolder
 from coulombus.lab.study.trials import Trial, is_answer
 from coulombus.rigs.rig import Rig
@@ -154,15 +155,13 @@ class SubjectSession:
         key = trial.condition.name, level
         rig = self._rigs[key] = self._rigs.get(key) or self.study.variant(trial.condition, level)
         words = [file.seed, self.folder.number, trial.number, number]
-        display = Display(
+        meta = {"subject": self.folder.subject, "trial": str(trial.number), "display": str(number)}
+        display = Run(
             rig,
             trial.condition.mode,
             file.seconds,
-            self.folder.recording(trial, number),
             int(np.random.SeedSequence(words).generate_state(1)[0]),
-            self.folder.subject,
-            trial.number,
-            number,
+            outputs=Outputs(record=self.folder.recording(trial, number), meta=meta, force=True),
         )
         if number == 1:
             self._mark(f"trial {trial.number}")

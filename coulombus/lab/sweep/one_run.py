@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from coulombus.host.run.result import RunResult
-from coulombus.lab.simulate import simulate
+from coulombus.host.run.run import Outputs, Run
+from coulombus.lab.simulate import virtual_run
 from coulombus.lab.sweep.expressions import Condition
 from coulombus.lab.sweep.figures import Value, figures_of, known_figures
 from coulombus.lab.sweep.points import seed_of
@@ -109,7 +110,7 @@ def carry_out(job: Job, order: RunRequest) -> FinishedRun:
     failing = error is not None or not all(row[f"rates.{name}"] for name in job.rates)
     recording = None
     if rig is not None and result is not None and (job.keep == "all" or (job.keep == "failing" and failing)):
-        recording = _recorded(rig, order, _seconds(job, rig))
+        recording = _recorded(job, rig, order)
     return FinishedRun(row, simulated_s, cpu_s, recording)
 
 
@@ -129,10 +130,6 @@ def _head(job: Job, order: RunRequest, error: str | None) -> dict[str, Any]:
     return {"run": order.run, "point": order.point, "mode": order.mode, "seed": order.seed, **values, "error": error}
 
 
-def _seconds(job: Job, rig: Rig) -> float:
-    return rig.schedule_s if job.seconds is None else job.seconds
-
-
 def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | None, str | None]:
     """Return the rig, if valid, its simulation, and the reason of a failure."""
     rig = None
@@ -140,17 +137,22 @@ def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | Non
         rig = job.rig.variant(
             *(variation.override(value) for variation, value in zip(job.vary, order.values, strict=True))
         )
-        return rig, simulate(rig, order.mode, _seconds(job, rig), seed=order.seed, measured=True), None
+        return rig, virtual_run(_run(job, rig, order)), None
     except Exception as error:  # must not end the other runs
         known = isinstance(error, CoulombusError)
         return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
 
 
-def _recorded(rig: Rig, order: RunRequest, seconds: float) -> bytes:
+def _run(job: Job, rig: Rig, order: RunRequest, record: Path | None = None) -> Run:
+    seconds = rig.schedule_s if job.seconds is None else job.seconds
+    return Run(rig, order.mode, seconds, order.seed, outputs=Outputs(record=record, measured=True))
+
+
+def _recorded(job: Job, rig: Rig, order: RunRequest) -> bytes:
     """Return the recording of a run, by running it again."""
     with tempfile.TemporaryDirectory(prefix="coulombus-sweep-") as folder:
         path = Path(folder) / "run.pcapng"
-        simulate(rig, order.mode, seconds, seed=order.seed, record=path, measured=True)
+        virtual_run(_run(job, rig, order, path))
         return path.read_bytes()
 
 

@@ -21,8 +21,8 @@ from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import TRACE_ROWS, PlaneCommand, PlaneStatus, SharedPlane
 from coulombus.host.run import realtime_sequence
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
-from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
+from coulombus.host.run.run import Outputs, Run
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
 from coulombus.recording.trace import TraceRow
@@ -197,7 +197,8 @@ def bench(tmp_path, monkeypatch):
         try:
             if not arming:
                 begin()
-            result = real_run(rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals())
+            run = Run(rig, "passive", 0.03, outputs=Outputs(record=record))
+            result = real_run(run, bus=BUS, signals=Signals())
         except (HostError, BusUnavailable, RecordingError) as error:
             refusal = error
         finally:

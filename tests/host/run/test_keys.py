@@ -11,7 +11,7 @@ import pytest
 from coulombus.host.run.client_requests import Answers
 from coulombus.host.run.deadman import HeldKey
 from coulombus.host.run.markers import StruckKeys
-from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.run import Outputs
 from coulombus.system.keyboard import Keys, in_foreground
 
 RUN = SimpleNamespace(recorder=object(), failure=None, path=Path("r.pcapng"), now_ns=7)

@@ -22,7 +22,7 @@ class Recorded:
 
 class Displays:
     def __call__(self, display):
-        display.record.write_bytes(b"a recording")
+        display.outputs.record.write_bytes(b"a recording")
         return Recorded()
 
     def stop(self):

@@ -30,7 +30,7 @@ class Show:
     # A display of some steps, each of which may be the last
     def __call__(self, display):
         tell("display")
-        display.record.write_bytes(b"begun")
+        display.outputs.record.write_bytes(b"begun")
         return SimpleNamespace(exit_status=0, trip=None, stopped_by=None, recording=None)
 
     def stop(self):

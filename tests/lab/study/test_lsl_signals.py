@@ -80,7 +80,7 @@ def test_a_session_hands_each_display_to_the_stream(folder, tmp_path):
     handed = []
 
     def show(display):
-        return SimpleNamespace(exit_status=0, trip=None, stopped_by=None, recording=str(display.record))
+        return SimpleNamespace(exit_status=0, trip=None, stopped_by=None, recording=str(display.outputs.record))
 
     one = SubjectSession(folder, show, recorded=handed.append)
     one.show(1)

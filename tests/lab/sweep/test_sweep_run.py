@@ -37,8 +37,8 @@ KNOWN = {}
 
 
 def known(job, order):
-    """Carry out a run; one of the same numbers, by the same `simulate`, is done once for all tests."""
-    asked = (one_run.simulate, job.rig.effective(), repr((job.seconds, job.vary, job.rates, job.keep, order)))
+    """Carry out a run; one of the same numbers, by the same `virtual_run`, is done once for all tests."""
+    asked = (one_run.virtual_run, job.rig.effective(), repr((job.seconds, job.vary, job.rates, job.keep, order)))
     if asked not in KNOWN:
         KNOWN[asked] = carry_out(job, order)
     return replace(KNOWN[asked], row=dict(KNOWN[asked].row))
@@ -252,12 +252,12 @@ known = "cycles > 0"
 
 
 def test_a_mistake_of_the_program_ends_no_sweep(sweep_file, tmp_path, monkeypatch, at_once):
-    def mistaken(rig, *_, **options):
-        if rig.one_axis().operator.inertia_kg_m2 > 5e-3:
+    def mistaken(run):
+        if run.rig.one_axis().operator.inertia_kg_m2 > 5e-3:
             raise KeyError("6072h")
-        return simulate(rig, "active", 0.01, measured=True)
+        return simulate(run.rig, "active", 0.01, measured=True)
 
-    monkeypatch.setattr("coulombus.lab.sweep.one_run.simulate", mistaken)
+    monkeypatch.setattr("coulombus.lab.sweep.one_run.virtual_run", mistaken)
     result = run_sweep(read_sweep(sweep_file()), tmp_path / "out")
     errors = [row["error"] for row in table(tmp_path / "out")]
     assert errors.count("KeyError: '6072h'") == result.failed == 3

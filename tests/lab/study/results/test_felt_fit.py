@@ -30,7 +30,7 @@ class HalfDisplays:
 
     def __call__(self, display):
         level = display.rig.one_axis().mode["hybrid"].F_s_Nm
-        display.record.write_text(f"{GAIN * level + OFFSET_NM}")
+        display.outputs.record.write_text(f"{GAIN * level + OFFSET_NM}")
         return Result()
 
     def stop(self):
