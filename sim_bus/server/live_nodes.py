@@ -43,7 +43,7 @@ __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 BIT_RATE = 1_000_000
 NO_OPTIONS = Load()
 LOOK_NS = 100_000_000
-"""Interval of the looks at drives that may stand still for a reason."""
+"""Interval of the looks at drives that may rest for a reason."""
 
 
 class NodeError(CoulombusError, ValueError):
