@@ -164,6 +164,8 @@ class StandstillWatch:
     def look(self, n: NodeRecord, objects: Objects, holding_pm: float = 0.0) -> Reason | None:
         """Return a reason to report now."""
         reason = why_still(n, objects, holding_pm)
+        if n["power_state"] == PowerState.OPERATION_ENABLED:
+            self._reported.add("state")  # its client knows how to enable it, and may disable it
         name = None if reason is None else reason.name
         self._looks = self._looks + 1 if name == self._last else 1
         self._last = name

@@ -191,3 +191,12 @@ def test_a_reason_that_is_interrupted_does_not_last():
         assert looks(watch, device, LOOKS - 1) == [None] * (LOOKS - 1)
         device[0x60FF, 0] = 500
         assert looks(watch, device, 1) == [None]
+
+
+def test_a_drive_that_was_enabled_may_be_disabled_without_a_word():
+    device, watch = drive(state=PowerState.SWITCHED_ON), StandstillWatch()
+    assert looks(watch, device, LOOKS)[-1] == "state"
+    device, watch = drive(), StandstillWatch()
+    looks(watch, device, 1)
+    device.record["power_state"] = PowerState.SWITCH_ON_DISABLED
+    assert looks(watch, device, 2 * LOOKS) == [None] * 2 * LOOKS
