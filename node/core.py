@@ -29,6 +29,7 @@ from coulombus.node.reactions import (
     apply,
     connection_lost,
     inputs,
+    measure,
     next_deadline,
     react,
     sample,
@@ -53,6 +54,7 @@ __all__ = [
     "nmt_command",
     "on_frame",
     "on_time",
+    "reads_inputs",
     "refresh_inputs",
     "set_nmt",
     "written",
@@ -154,6 +156,19 @@ def handle(
     if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
         return 0
     return 0 if expedited.answer(n, t_ns, can_id, length, data, out) else 1
+
+
+@inlined
+def reads_inputs(n: NodeRecord, can_id: int) -> bool:
+    """Whether a frame other than SYNC may make the device use or show its inputs at once: an SDO request, an RPDO
+    that does not wait for SYNC, a remote frame.
+    """
+    if can_id > 0x7FF:
+        return can_id & ~0x7FF == CAN_RTR_FLAG
+    route = n.route[can_id]
+    if ROUTE_PDO <= route < ROUTE_CONSUMER:
+        return pdo_traffic.acts_at_once(n, route - ROUTE_PDO)
+    return route == ROUTE_SDO
 
 
 @kernel
@@ -330,5 +345,4 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
 def refresh_inputs(n: NodeRecord, t_ns: int) -> None:
     """Update the values that the device measures (before an SDO upload)."""
     if n.powered:
-        actuate(n, t_ns)
-        sample(n)
+        measure(n, t_ns)

@@ -31,7 +31,7 @@ from coulombus.node.record import DriveFields, NodeRecord
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
 
-__all__ = ["DRIVE402", "with_own_mode"]
+__all__ = ["COUNTS_REV", "DRIVE402", "with_own_mode"]
 
 _MODE, _SUPPORTED_MODES = 0x6060, 0x6502
 _TARGET_TORQUE = (0x6071, 0)
@@ -41,8 +41,10 @@ _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, *(index for index, _ in SCALE_OBJECTS)))
 _NO, _YES = constant(0), constant(1)
-_COUNTS_REV = 8192.0
+COUNTS_REV = 8192.0
 """Counts in one turn of the motor, for a drive that does not state them."""
+_SUPPLY_mV = 48_000
+"""Voltage of the DC link, for a file that does not state it."""
 
 
 @kernel
@@ -96,7 +98,7 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
     """
     number, own = objects.number, objects.own
     rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
-    counts_rev = position_scale(lambda index, sub: number(index, sub, 0)).counts_rev or _COUNTS_REV
+    counts_rev = position_scale(lambda index, sub: number(index, sub, 0)).counts_rev or COUNTS_REV
     record["speed_max_counts_s"] = 1e18 if rpm == _NO_SPEED_LIMIT else rpm * counts_rev / 60
     positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
     record["guarded"] = int(rpm != _NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))
@@ -105,7 +107,7 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
-    record["supply_mV"] = objects.number(0x6079, 0, 0)
+    record["supply_mV"] = objects.number(0x6079, 0, 0) or _SUPPLY_mV
     ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     _scale(record, objects)

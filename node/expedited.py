@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
 from coulombus.node.constants import FAR_FUTURE_NS
-from coulombus.node.reactions import actuate, sample
+from coulombus.node.reactions import measure
 from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue, push
 
@@ -44,8 +44,7 @@ def answer(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Q
     if place < 0:
         return False
     if key >= _MEASURED:
-        actuate(n, t_ns)
-        sample(n)
+        measure(n, t_ns)
     size = n.fast_size[place]
     value = n.values[n.fast_slot[place]] & ((1 << 8 * size) - 1)
     head = 0x43 | (4 - size) << 2 | (data & 0xFFFFFF00)

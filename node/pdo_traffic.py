@@ -18,7 +18,16 @@ from coulombus.node.reactions import actuate, alarm, apply, sample
 from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue, push
 
-__all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]
+__all__ = [
+    "act_pending",
+    "acts_at_once",
+    "answer_rtr",
+    "forget_pending",
+    "receive",
+    "start",
+    "transmit_events",
+    "transmit_sync",
+]
 
 _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 
@@ -43,6 +52,16 @@ def forget_pending(n: NodeRecord) -> None:
     n.rpdo_pending = 0
     for k in range(n.rpdo_used):
         n.rpdo_waits[k] = 0
+
+
+@kernel
+def acts_at_once(n: NodeRecord, k: int) -> bool:
+    """Whether RPDO `k`, or another of its COB-ID, acts without a SYNC."""
+    while k >= 0:
+        if n.rpdo[k].transmission > _SYNC_MAX:
+            return True
+        k = n.rpdo_next[k]
+    return False
 
 
 @kernel

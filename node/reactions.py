@@ -24,6 +24,7 @@ __all__ = [
     "apply",
     "connection_lost",
     "inputs",
+    "measure",
     "next_deadline",
     "react",
     "sample",
@@ -51,6 +52,17 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
             kind.actuate(n, t_ns)
     if n.ramping == 1:
         n.next_ns = min(n.next_ns, t_ns + RAMP_STEP_NS)
+
+
+@kernel
+def measure(n: NodeRecord, t_ns: int) -> None:
+    """Update the values that a client reads.
+
+    A ramp and a control loop have a cycle of their own, `RAMP_STEP_NS`, so that a reading does not change them.
+    """
+    if n.ramping != 1:
+        actuate(n, t_ns)
+    sample(n)
 
 
 @kernel

@@ -73,6 +73,7 @@ class DriveFields(Record):
     vendor_pm: float  # per mille of rated torque per count of its set-point
     vendor_slot: int  # slot of its set-point
     supply_mV: int  # value of 6079h while the supply is present
+    load_counts_s2: float  # acceleration of the axis by one per mille of torque, counts/s^2; 0: unknown
 
 
 class BrakeFields(Record):

@@ -7,7 +7,7 @@ drive. Both are relaxed, and each change is reported. Files of our own devices a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from coulombus.eds.description import Description, Object, Variable
@@ -18,7 +18,7 @@ from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, of_identity
 from coulombus.node.profile import Key, Profile
 
-__all__ = ["Opened", "opened"]
+__all__ = ["Opened", "completed", "opened"]
 
 _COB_ID, _CONSUMER, _MAPPED = 0x800007FF, 0x007FFFFF, 0x9FFFFF40
 _RANGES: tuple[tuple[range, range, int, str], ...] = (
@@ -42,6 +42,12 @@ _BLOCKING: Mapping[Key, int] = {
     (0x60E1, 0): _THREE_TIMES,
 }
 """Objects that disable a drive while they are 0, and their replacement values."""
+
+_ABSENT: Mapping[Key, tuple[int, str]] = {
+    (0x1000, 0): (0x00020192, "tells no CiA 402 drive"),
+    (0x6072, 0): (1000, "would keep the drive from any torque"),
+}
+"""Objects of a drive without a rig whose default a file may lack: the value, and what 0 would mean."""
 
 _POSITIONS = ((0x607D, 1), -_FARTHEST - 1), ((0x607D, 2), _FARTHEST)
 _MODES: tuple[tuple[int, int], ...] = ((0x6071, 1 << 3 | 1 << 9), (0x60FF, 1 << 2 | 1 << 8))
@@ -72,6 +78,26 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
     if profile.behaviour is DRIVE402.behaviour:
         remarks += _defaults(description, changed, axis)
         remarks += _encoder(description, changed, counts_rev, axis)
+    return _changed(description, changed, remarks)
+
+
+def completed(description: Description, profile: Profile) -> Opened:
+    """Return the description of a drive without a rig, with the defaults that its file lacks: nobody else writes
+    them before it is used.
+    """
+    changed: dict[Key, Variable] = {}
+    remarks: list[str] = []
+    if profile.behaviour is DRIVE402.behaviour:
+        for key, (value, why) in _ABSENT.items():
+            variable = _variable(description, key)
+            if variable is not None and variable.default is None and not variable.unreadable:
+                changed[key] = _with(variable, value)
+                served = f"{value:08X}h" if key[0] == 0x1000 else str(changed[key].default)
+                remarks.append(_remark(description, _label(variable), _stands(variable), served, why))
+    return _changed(description, changed, remarks)
+
+
+def _changed(description: Description, changed: Mapping[Key, Variable], remarks: Sequence[str]) -> Opened:
     if not changed:
         return Opened(description)
     objects = dict(description.objects)

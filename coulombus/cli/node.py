@@ -15,6 +15,7 @@ from coulombus.cli.option_types import SECONDS
 
 if TYPE_CHECKING:
     from coulombus.node.profile import Profile
+    from coulombus.sim_bus.rig.shaft_load import Load
     from coulombus.sim_bus.server.live_nodes import LiveNodes
 
 __all__ = ["node_command"]
@@ -67,7 +68,7 @@ class Served:
     bitrate: int | None
     io: Path | None
 
-    def of(self, eds: tuple[Path, ...], as_json: bool) -> LiveNodes:
+    def of(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
         """Return the nodes of these EDS files.
 
         Raises
@@ -82,7 +83,57 @@ class Served:
                 f"{len(eds)} EDS files and {len(self.node_ids)} --node-id; give one --node-id for each file"
             )
         files = tuple(zip(eds, self.node_ids or (None,) * len(eds), strict=True))
-        return LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io)
+        return LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io, load)
+
+
+@dataclass(frozen=True)
+class LoadOptions:
+    """The load of the drives, from the options."""
+
+    inertia: float | None
+    friction: float | None
+    damping: float | None
+    rated_torque: float | None
+
+    def load(self) -> Load:
+        """Return the load."""
+        from coulombus.sim_bus.rig.shaft_load import Load
+
+        return Load(self.inertia, self.friction, self.damping, self.rated_torque)
+
+
+load_options = bundle(
+    "load",
+    LoadOptions,
+    click.option(
+        "--inertia",
+        type=click.FloatRange(0, 1e3, min_open=True),
+        default=None,
+        metavar="KG_M2",
+        help="Inertia of motor and load, of a drive.  [default: rated torque x 3.18e-4 s2: 3000 rpm in 0.1 s]",
+    ),
+    click.option(
+        "--friction",
+        type=click.FloatRange(0, 1e3),
+        default=None,
+        metavar="NM",
+        help="Coulomb friction of the load.  [default: 2 % of the rated torque]",
+    ),
+    click.option(
+        "--damping",
+        type=click.FloatRange(0, 1e3),
+        default=None,
+        metavar="NM_S_RAD",
+        help="Viscous friction of the load.  [default: 5 % of the rated torque at 3000 rpm]",
+    ),
+    click.option(
+        "--rated-torque",
+        type=click.FloatRange(0, 1e4, min_open=True),
+        default=None,
+        metavar="NM",
+        help="Torque of the motor at 1000 per mille; it saturates at three times that.  [default: 6076h in mNm, else 1]",
+    ),
+)
 
 
 served_options = bundle(
@@ -144,14 +195,19 @@ served_options = bundle(
 )
 @adapter_option
 @served_options
+@load_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
-    "--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, hardware, end."
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="One JSON object a line to stdout: ready, duplicate, standstill, hardware, end.",
 )
 def node_command(
     eds: tuple[Path, ...],
     bus: str,
     served: Served,
+    load: LoadOptions,
     seconds: float | None,
     as_json: bool,
 ) -> None:
@@ -159,7 +215,8 @@ def node_command(
     yet.
 
     All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the
-    values that it configures. On coulombus:NAME it joins the bus that another process serves; where
+    values that it configures. A drive turns a shaft with inertia and friction; commanded without
+    success, it says on stderr why it does not move. On coulombus:NAME it joins the bus that another process serves; where
     nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C, SIGTERM,
     SIGHUP and SIGQUIT, with 4 when the bus goes away. With --io the outputs take their safe values
     at the end, after every fault, and when this process stands still or is killed.
@@ -168,6 +225,7 @@ def node_command(
     Examples:
       coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
       coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
+      coulombus node drive.eds --node-id 5 --bus coulombus:desk --kind drive --inertia 1e-3 --friction 0.05
       coulombus node configured.dcf --bus coulombus:desk
       coulombus node eds/mr_brake.eds --node-id 2 --bus socketcan:can0 --io brake-io.toml
     """
@@ -175,4 +233,4 @@ def node_command(
         from coulombus.sim_bus.server.live_nodes import run_nodes
         from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-        run_nodes(served.of(eds, as_json), parse_address(bus, WITH_ADAPTERS), seconds)
+        run_nodes(served.of(eds, as_json, load.load()), parse_address(bus, WITH_ADAPTERS), seconds)

@@ -43,7 +43,7 @@ from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, n
 from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.sim_bus.rig.plant_step import CourseFunction
-from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
+from coulombus.sim_bus.rig.records import NOT_BEGUN, PlantRecord, RigAxis
 from coulombus.wire.clock import Clock, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import BUS_SHIFT, QUEUE_CAPACITY, Frame, Queue
 
@@ -201,6 +201,17 @@ def _look(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     _sample(world.plant[a], world.axes[a], world.nodes)
 
 
+@kernel
+def _read(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
+    """Do the same for a reading between the samples: it shows the transducer's next noise without drawing it, so
+    that a reading changes nothing later.
+    """
+    p = world.plant[a]
+    random = p.random
+    _look(world, course, a, t_ns)
+    p.random = random
+
+
 @inlined
 def actuate(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Apply the devices' commands to the rig of axis `a` from `t_ns` on, if they have changed."""
@@ -269,7 +280,7 @@ def refresh(
     w.to_begin = 0
     w.force_end_ns = FAR_NS
     for a in range(axes.shape[0]):
-        w.to_begin += axes[a].operator_start_ns < 0
+        w.to_begin += axes[a].operator_start_ns == NOT_BEGUN
         w.force_end_ns = min(w.force_end_ns, axes[a].force_end_ns)
 
 
@@ -341,7 +352,7 @@ def run(
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
-                _advance(world, course, a, t)
+                _read(world, course, a, t)
             return Exit.UNTIL if what == NOTHING else Exit.SCRIPT
         if what == HOST:
             if law_function is not None:
@@ -375,6 +386,8 @@ def run(
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
                 if nodes[i].powered and receives(b, i) and on_its_bus(b, i):
+                    if axis_of[i] >= 0 and core.reads_inputs(nodes[i], b.can_id):
+                        _read(world, course, axis_of[i], t)
                     if nodes[i].clock_on == 0:
                         request = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
@@ -404,7 +417,10 @@ def run(
                 return Exit.SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):
-                if axes[a].operator_start_ns < 0 and nodes[axes[a].motor].power_state == PowerState.OPERATION_ENABLED:
+                if (
+                    axes[a].operator_start_ns == NOT_BEGUN
+                    and nodes[axes[a].motor].power_state == PowerState.OPERATION_ENABLED
+                ):
                     axes[a].operator_start_ns = t
                     w.to_begin -= 1
                     w.axis = a

@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -43,11 +42,10 @@ import numpy as np
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
-from coulombus.host.cycle.controllers import unused_law
-from coulombus.host.cycle.records import AxisRecord, LawFunction, PlaneFunctions
+from coulombus.host.cycle.records import LawFunction, PlaneFunctions
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.kernels.decorator import Entry
-from coulombus.kernels.records import Floats, Integers, RecordArray
+from coulombus.kernels.records import RecordArray
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
@@ -57,11 +55,11 @@ from coulombus.sim_bus.can_bus.arbiter import FAR_NS, new_bus
 from coulombus.sim_bus.can_bus.cable_cut import divide, wire_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
+from coulombus.sim_bus.network.attached_axes import AttachedAxes, with_load, without_mechanics
 from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.event_loop import (
     LOG_FRAMES,
     MOST_DEVICES,
-    TOLD_FRAMES,
     WORLD,
     Exit,
     HostCycle,
@@ -70,19 +68,17 @@ from coulombus.sim_bus.network.event_loop import (
 )
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
 from coulombus.sim_bus.network.python_stations import Heard, Station
-from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
-    Frame,
     Queue,
     Records,
     data_bytes,
     data_word,
     frames,
     new_queue,
-    new_records,
     push,
 )
 
@@ -92,6 +88,7 @@ if TYPE_CHECKING:
 __all__ = ["Heard", "Station", "VirtualNetwork"]
 
 CAPACITY = 16
+OBSTACLE_Nm = 1e6
 FIRST_STATION, MOST_STATIONS = 192, 62
 """Station numbers of Python's stations: devices have their rows, clients of a bus in real time start at
 128, the host is -1.
@@ -100,40 +97,6 @@ TAP = 254
 """A station that only acknowledges, so that a device alone on the bus does not repeat one frame for ever; a
 fault file removes it.
 """
-
-
-@dataclass(frozen=True)
-class AttachedAxes:
-    """Mechanics connected to a network's devices: its axes with their plants and force blocks, and the host, as
-    the kernel's arrays.
-
-    Their types are the same without an axis and without a host, so that one compiled kernel serves
-    every network.
-    """
-
-    axes: RecordArray[RigAxis]
-    axis_of: Integers
-    plant: RecordArray[PlantRecord]
-    f_h: Floats
-    truth: Floats
-    host: HostCycle
-    law_function: LawFunction
-    arm: PlaneFunctions | None = None
-
-
-def without_mechanics(devices: int) -> AttachedAxes:
-    """Return no axis and no host."""
-    return AttachedAxes(
-        axes=new_records(RigAxis, 0),
-        axis_of=np.full(devices, -1, np.int64),
-        plant=new_records(PlantRecord, 0),
-        f_h=np.zeros((0, 1)),
-        truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
-        host=HostCycle(
-            axes=new_records(AxisRecord, 1), owner=np.zeros(IDENTIFIERS, np.int64), told=new_records(Frame, TOLD_FRAMES)
-        ),
-        law_function=unused_law(),
-    )
 
 
 class FaultSource(Protocol):
@@ -199,7 +162,8 @@ class VirtualNetwork:
         w = self._world[0]
         w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)
-        self.axes, self.axis_of, self.plant = m.axes, m.axis_of, m.plant
+        self.axis_of = m.axis_of
+        self._attach(m.axes, m.plant)
         state = self._world.view(np.recarray)[0]
         world = World(
             state,
@@ -259,6 +223,23 @@ class VirtualNetwork:
         self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
         self.rows[str(node_id)] = row
         return self.devices[row]
+
+    def attach_load(self, row: int, plant: RecordArray[PlantRecord]) -> None:
+        """Put a plant that no hand holds on the shaft of the drive in a row (`sim_bus.rig.shaft_load`), from now on."""
+        world, host, law_function, _, arm = self._arguments
+        world = with_load(world, row, plant)
+        self._arguments = (world, host, law_function, course_of(world.plant), arm)
+        self._attach(world.axes, world.plant)
+
+    def _attach(self, axes: RecordArray[RigAxis], plants: RecordArray[PlantRecord]) -> None:
+        self.axes, self.plant = axes, plants
+        # plain arrays: a recarray looks each field up in Python
+        self._axes = axes.view(np.ndarray)
+        self._outputs = self.nodes.view(np.ndarray), plants.view(np.ndarray)
+
+    def block(self, row: int, blocked: bool = True) -> None:
+        """Hold the axis of the device in a row with an obstacle, or free it."""
+        self.plant[int(self.axis_of[row])]["obstacle_Nm"] = OBSTACLE_Nm if blocked else 0.0
 
     def place(self, station: int, bus: int) -> None:
         """Put a device, by its row, or another station, by its number, on one of several buses; it is off."""
@@ -326,6 +307,7 @@ class VirtualNetwork:
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Run to `t_ns`, or until `condition` holds after an exit of the kernel."""
         self._world["until_ns"] = t_ns
+        self._actuate()
         self._run.load(*self._arguments)  # a signal may end it here: compiling may take half a minute
         with InterruptsHeld() as interrupts:
             while True:
@@ -356,6 +338,21 @@ class VirtualNetwork:
             _, _, action = heapq.heappop(self._script)
             self._world["script_ns"] = self._script[0][0] if self._script else FAR_NS
             action(self)
+        self._actuate()
+
+    def _actuate(self) -> None:
+        """Apply device outputs that a service or a script has changed from now on: the plants are at the present
+        time.
+        """
+        if not len(self._axes):
+            return
+        motors, brakes = self._axes["motor"], self._axes["brake"]
+        outputs, plant = self._outputs
+        plant["reverse_A"] = outputs["out_reverse_A"][brakes]
+        plant["motor_pm"] = outputs["out_torque_pm"][motors]
+        plant["brake_Nm"] = outputs["out_brake_Nm"][brakes]
+        for a in np.flatnonzero(self._axes["foreign"]).tolist():
+            self.plant[a].brake_Nm = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
 
     def _serve(self) -> None:
         """Pass the last frame of the log to the devices' services and to its receiving stations."""

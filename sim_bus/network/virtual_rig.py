@@ -24,15 +24,15 @@ from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.can_bus.cable_cut import assign
+from coulombus.sim_bus.network.attached_axes import AttachedAxes
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
-from coulombus.sim_bus.network.network import AttachedAxes, VirtualNetwork
+from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.arm_plant import PLANE_COLUMNS, new_plane_plant
-from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plane_hand import PlaneHand
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, TRUTH_COLUMNS, new_plant, truth_columns
 from coulombus.sim_bus.rig.plant_step import course_of
-from coulombus.sim_bus.rig.records import AXIS, PlantRecord, RigAxis
+from coulombus.sim_bus.rig.records import AXIS, NOT_BEGUN, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.bus_link import BusFrame
 from coulombus.wire.clock import own_ns, set_clock
@@ -138,7 +138,6 @@ class VirtualRig(VirtualNetwork):
                 *(HostCycle(k.axes, k.owner, self._told), k.law_function, k.arm),
             ),
         )
-        self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # plain arrays, like `_axes`
         self.nodes["coil_A_Nm"][self._axes["brake"]] = [axis.brake.coil_A_Nm for axis in rig.axes]
         rows: dict[int, tuple[int, Device]] = {}
         actuators = [stand_in for group in devices for stand_in in group[:2]]
@@ -175,7 +174,7 @@ class VirtualRig(VirtualNetwork):
         self._had, self._truth_from = 0, [0] * n
         self._axes[:] = np.zeros(n, AXIS)
         self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
-        self._axes["operator_start_ns"] = -1
+        self._axes["operator_start_ns"] = NOT_BEGUN
         self._axes["steps_per_knot"] = [max(1, round(KNOT_S / axis.simulation.plant.step_s)) for axis in rig.axes]
         for a, axis in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(axis, seed + a * SEED_STEP)
@@ -236,21 +235,9 @@ class VirtualRig(VirtualNetwork):
                 self._waiting = []
                 if self.injection is not None:
                     self.injection.enabled(self.t_ns)
+            self._actuate()
         else:
             super().answer(why)
-        self._actuate()
-
-    def _actuate(self) -> None:
-        """Apply device outputs that a service or a script has changed from now on: the plants are at the present
-        time.
-        """
-        motors, brakes = self._axes["motor"], self._axes["brake"]
-        outputs, plant = self._outputs
-        plant["reverse_A"] = outputs["out_reverse_A"][brakes]
-        plant["motor_pm"] = outputs["out_torque_pm"][motors]
-        plant["brake_Nm"] = outputs["out_brake_Nm"][brakes]
-        for a in np.flatnonzero(self._axes["foreign"]).tolist():
-            self.plant[a].brake_Nm = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.append(BusFrame(t_ns, can_id, data, len(data)))

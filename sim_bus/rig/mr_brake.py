@@ -63,7 +63,7 @@ def brake_capacity(p: PlantRecord, magnetised: float) -> float:
         else:
             decay = d.rise_decay if magnetised >= p.fluid else d.fall_decay
         p.fluid = magnetised + (p.fluid - magnetised) * decay
-    return float(p.brake_gain * p.fluid * d.weak + p.off_state)
+    return float(p.brake_gain * p.fluid * d.weak + p.off_state + p.obstacle_Nm)
 
 
 @kernel

@@ -56,7 +56,7 @@ import math
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Floats, RecordArray
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.plant import Plant
+from coulombus.rigs.plant import Operator, Plant
 from coulombus.sim_bus.rig.detail import DETAIL_COLUMNS, detail_of
 from coulombus.sim_bus.rig.operator import drawn
 from coulombus.sim_bus.rig.records import PlantRecord
@@ -77,6 +77,7 @@ __all__ = [
     "magnetise",
     "motor_target",
     "new_plant",
+    "plant_at_rest",
     "sample_noise",
     "settled",
     "transducer_Nm",
@@ -124,7 +125,11 @@ def new_plant(axis: Axis, seed: int = 0) -> RecordArray[PlantRecord]:
     """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the
     transducer's noise.
     """
-    p, hand = axis.simulation.plant, drawn(axis.simulation.operator, seed)
+    return plant_at_rest(axis.simulation.plant, drawn(axis.simulation.operator, seed), axis.brake.coil_A_Nm, seed)
+
+
+def plant_at_rest(p: Plant, hand: Operator, coil_A_Nm: float, seed: int = 0) -> RecordArray[PlantRecord]:
+    """Return a plant with a hand on it, as `new_plant`; `coil_A_Nm` is the brake's current for each Nm."""
     plant = new_records(PlantRecord)
     r = plant[0]
     r["step_ns"] = round(p.step_s * 1e9)
@@ -141,14 +146,14 @@ def new_plant(axis: Axis, seed: int = 0) -> RecordArray[PlantRecord]:
     r["motor_Nm_pm"] = p.motor_polarity * p.motor_rated_torque_Nm * p.ratio / 1000
     r["motor_peak_pm"] = 1000 * p.motor_peak_ratio
     r["cogging"], r["cogging_rad"] = p.cogging_Nm, p.cogging_periods * p.ratio
-    r["coil_A_Nm"] = axis.brake.coil_A_Nm
+    r["coil_A_Nm"] = coil_A_Nm
     r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
     r["eccentric"], r["eccentric_rad"] = p.encoder_eccentricity_rad / p.ratio, p.ratio
     r["bias"], r["drift"] = p.transducer_bias_Nm, p.transducer_drift_Nm_s
     r["transducer_decay"] = _decay(p.step_s, p.transducer_lag_s)
     r["detail"] = detail_of(p, hand.inertia_kg_m2)
     r["filtered"] = int(p.transducer_lag_s > 0.0 or p.in_detail)
-    r["coil_step"] = p.coil_step_A / axis.brake.coil_A_Nm
+    r["coil_step"] = p.coil_step_A / coil_A_Nm
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
     r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
@@ -322,7 +327,7 @@ def drive_train(p: PlantRecord, target: float, coil_wants: float, remembers: boo
     iron = magnetise(p) if remembers else p.coil
     p.fluid = iron + (p.fluid - iron) * p.fluid_decay
     p.inherent = _inherent(p)
-    return torque, p.brake_gain * p.fluid + p.off_state
+    return torque, p.brake_gain * p.fluid + p.off_state + p.obstacle_Nm
 
 
 @inlined

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from coulombus.kernels.decorator import constant
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.plant_detail import MOST_ELEMENTS
@@ -14,6 +15,8 @@ __all__ = [
     "BODIES",
     "DETAIL",
     "MOST_SHOWN",
+    "NOT_BEGUN",
+    "NO_HAND",
     "PLANT",
     "Coupling",
     "DetailRecord",
@@ -24,6 +27,8 @@ __all__ = [
 ]
 
 MOST_SHOWN = 6
+NOT_BEGUN, NO_HAND = constant(-1), constant(-2)
+"""Starts of an operator's schedule that waits for Operation Enabled, and of an axis that nobody holds."""
 BODIES = 3
 PLAYS = 8
 
@@ -172,6 +177,7 @@ class PlantRecord(Record):
     # state
     temperature: float  # temperature of the coil [degC]
     coil_fault: int  # COIL_INTACT, COIL_OPEN, COIL_SHORT
+    obstacle_Nm: float  # largest torque of an obstacle that blocks the axis; 0: it is free
     motor_pm: float  # command of the drive, per mille of the motor's rated torque
     brake_Nm: float  # command of the brake's driver
     reverse_A: float  # current of the opposite sign from the driver
@@ -234,7 +240,7 @@ class RigAxis(Coupling):
 
     motor: int  # row of the motor in the node records
     brake: int  # row of the brake
-    operator_start_ns: int  # -1: the schedule has not begun
+    operator_start_ns: int  # or `NOT_BEGUN`, `NO_HAND`
     force_step: int  # step of the plant at which the force block begins
     force_end_ns: int  # end time of the force block
     steps_per_knot: int  # steps of the plant per knot of the operator's force

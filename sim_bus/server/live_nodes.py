@@ -9,7 +9,7 @@ objects (`node.kinds.of_description`); limits relaxed for it (`node.relaxed_eds`
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,14 +20,17 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
+from coulombus.node.drive402 import DRIVE402
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
 from coulombus.node.hardware.watchdog_client import Guard
 from coulombus.node.kinds import of_description, of_identity
 from coulombus.node.profile import Profile
-from coulombus.node.relaxed_eds import Opened, opened
+from coulombus.node.relaxed_eds import completed, opened
+from coulombus.node.standstill import Reason, StandstillWatch
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
+from coulombus.sim_bus.rig.shaft_load import Load, holding_pm
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_command import PRIORITY, run_sim
 from coulombus.system.errors import CoulombusError
@@ -38,6 +41,9 @@ from coulombus.wire.address import BusAddress
 __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 
 BIT_RATE = 1_000_000
+NO_OPTIONS = Load()
+LOOK_NS = 100_000_000
+"""Interval of the looks at drives that may rest for a reason."""
 
 
 class NodeError(CoulombusError, ValueError):
@@ -55,6 +61,7 @@ class LiveNodes:
     eds : sequence of (path, node id); None: the node id of the file, a DCF
     kind : behaviour of all nodes; None: that of our own devices for their files, none for other
         files; "auto": as each file allows
+    load : what each drive drives, unless `io` is given
     io : the I/O file of the converters behind a single node; None: a simulated rig, or nothing
     on_begin : called with the new server, before the nodes are switched on
     opened : changes of the nodes from their files, by file
@@ -70,6 +77,7 @@ class LiveNodes:
     as_json: bool = False
     bit_rate: int = 0
     io: Path | None = None
+    load: Load = NO_OPTIONS
     descriptions: list[Description] = field(default_factory=list)
     told: set[tuple[str, int]] = field(default_factory=set)
     server: BusServer | None = None
@@ -78,6 +86,7 @@ class LiveNodes:
     kinds: list[Profile] = field(default_factory=list)
     pump: Pump | None = None
     on_begin: Callable[[BusServer], None] | None = None
+    _watches: list[StandstillWatch] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.descriptions = [read_eds(path) for path, _ in self.eds]
@@ -100,6 +109,7 @@ class LiveNodes:
         if self.io is not None and len(ids) > 1:
             raise NodeError(f"--io {self.io}: one file is for one node; start a `coulombus node` for each")
         self._open()
+        self._watches = [StandstillWatch() for _ in ids]
         if self.io is not None:
             plan = read_io_file(self.io, self.descriptions[0], self.kinds[0])
             self.pump = Pump(plan, Guard, self._tell_hardware)
@@ -115,16 +125,26 @@ class LiveNodes:
         served = []
         for description in self.descriptions:
             if self.kind == "auto":
-                self.kinds.append(of_description(description))
-                reading = opened(description, self.kinds[-1])
+                profile = of_description(description)
             else:
-                self.kinds.append(of_identity(told_identity(description)) if self.kind is None else self.kind)
-                reading = Opened(description)
+                profile = of_identity(told_identity(description)) if self.kind is None else self.kind
+            reading = completed(description, profile)
+            remarks = reading.remarks
+            if self.kind == "auto":
+                reading = opened(reading.description, profile)
+                remarks += reading.remarks
+            self.kinds.append(profile)
             served.append(reading.description)
-            self.opened.append(reading.remarks)
-            for text in reading.remarks:
+            self.opened.append(remarks)
+            for text in (*remarks, *_one_sided(reading.description, profile)):
                 say(f"coulombus: {text}")
         self.descriptions = served
+        if self.load != NO_OPTIONS and not any(self._has_load(profile) for profile in self.kinds):
+            names = ", ".join(profile.name for profile in self.kinds)
+            raise NodeError(f"a load is for a drive without --io, and got kind {names}; take --kind drive, or no load")
+
+    def _has_load(self, profile: Profile) -> bool:
+        return self.io is None and profile.behaviour is DRIVE402.behaviour
 
     def _commission(self) -> None:
         """Determine node ids and bit rate: options take precedence over a DCF."""
@@ -176,6 +196,8 @@ class LiveNodes:
             kept = store()
             devices.append(network.add(description, node_id, profile, store=kept))
             self._check_kind(devices[-1])
+            if self._has_load(profile):
+                network.attach_load(len(network.devices) - 1, self.load.plant(devices[-1].dictionary))
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.foreign:
                 raise NodeError(f"--store {kept.diagnosis}; choose another file; this one is not overwritten")
@@ -189,18 +211,41 @@ class LiveNodes:
         if self.pump is not None:
             self.pump.attach(server.world.devices[0])
             server.world.at(0, self._pump)
+        if any(map(self._has_load, self.kinds)):
+            server.world.at(0, self._watch)
         if self.on_begin is not None:
             self.on_begin(server)
 
+    def _watch(self, network: VirtualNetwork) -> None:
+        """Look at the drives, report what keeps one from moving, and schedule the next look."""
+        for row, device in enumerate(network.devices):
+            if network.axis_of[row] >= 0:
+                plant = network.plant[int(network.axis_of[row])]
+                reason = self._watches[row].look(device.record, device.dictionary, holding_pm(plant))
+                if reason is not None:
+                    self._tell_standstill(device, row, reason)
+        self._again(network, LOOK_NS, self._watch)
+
+    def _again(self, network: VirtualNetwork, period_ns: int, action: Callable[[VirtualNetwork], None]) -> int:
+        """Schedule the next of a periodic action; return the number of periods missed, which are skipped."""
+        assert self.server is not None
+        late = max(self.server.now_ns() - network.t_ns, 0) // period_ns
+        network.at(network.t_ns + (late + 1) * period_ns, action)
+        return late
+
+    def _tell_standstill(self, device: Device, row: int, reason: Reason) -> None:
+        if self.as_json:
+            line = {"event": "standstill", "node_id": device.node_id, "reason": reason.name, "text": reason.text}
+            with printed():
+                show(json.dumps(line))
+        say(f"coulombus: node {device.node_id} ({self.eds[row][0]}) does not move: {reason.text}")
+
     def _pump(self, network: VirtualNetwork) -> None:
         """Read and write the converters, and schedule the next period; missed periods are skipped."""
-        pump, server = self.pump, self.server
+        pump = self.pump
         assert pump is not None
-        assert server is not None
         pump.period(network.t_ns)
-        late = max(server.now_ns() - network.t_ns, 0) // pump.period_ns
-        pump.skipped += late
-        network.at(network.t_ns + (late + 1) * pump.period_ns, self._pump)
+        pump.skipped += self._again(network, pump.period_ns, self._pump)
 
     def _tell_hardware(self, text: str) -> None:
         if self.as_json:
@@ -220,11 +265,15 @@ class LiveNodes:
 
     def _check_kind(self, device: Device) -> None:
         """Refuse a selected kind if the file lacks its required objects."""
-        missing = () if self.kind in (None, "auto") else device.profile.missing(device.dictionary)
-        if missing:
-            objects = ", ".join(f"{index:04X}h:{subindex:02X}" for index, subindex in missing)
-            where, name = device.description.path, device.profile.name
-            raise NodeError(f"{where}: got no {objects}, which kind {name} acts on; take --kind generic")
+        if self.kind in (None, "auto"):
+            return
+        profile, objects = device.profile, device.dictionary
+        names = [f"{index:04X}h:{subindex:02X}" for index, subindex in profile.missing(objects)]
+        if profile.terminals and not any(terminal.key in objects for terminal in profile.terminals):
+            names += [f"{index:04X}h" for index in sorted({terminal.index for terminal in profile.terminals})]
+        if names:
+            where, name = device.description.path, profile.name
+            raise NodeError(f"{where}: got no {', '.join(names)}, which kind {name} acts on; take --kind generic")
 
     def _tell(self, event: str, device: Device, row: int, frame: Heard) -> None:
         if (event, row) in self.told or self.server is None:
@@ -246,6 +295,15 @@ class LiveNodes:
         if event == "duplicate":
             text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
             say(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id")
+
+
+def _one_sided(description: Description, profile: Profile) -> Iterator[str]:
+    """Yield a line if a module's file has no input, or no output, of its kind."""
+    for side, outputs in (("input", False), ("output", True)):
+        rows = [row for row in profile.terminals if row.is_output == outputs]
+        if rows and not any(description.has(*row.key) for row in rows):
+            indices = ", ".join(f"{index:04X}h" for index in sorted({row.index for row in rows}))
+            yield f"{description.path}: kind {profile.name} finds no {side} in the file ({indices})"
 
 
 def serves(server: BusServer) -> bool:

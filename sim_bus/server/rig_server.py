@@ -16,6 +16,7 @@ from coulombus.sim_bus.can_bus.stations import detach
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.rig.records import NOT_BEGUN
 from coulombus.sim_bus.server.clients import STATION
 from coulombus.sim_bus.server.realtime_loop import Serve
 from coulombus.sim_bus.server.server import BusServer
@@ -67,13 +68,13 @@ class PacedRig(VirtualRig):
             axis = int(self._world["axis"][0])
             together = self._together(axis)
             start_ns = int(self._axes["operator_start_ns"][list(together)].max())
-            self._axes[axis]["operator_start_ns"] = -1
+            self._axes[axis]["operator_start_ns"] = NOT_BEGUN
             for a in together:
                 self._left[a] = self._left[a] or (start_ns * 1e-9, self.t_ns * 1e-9)
                 self._new_force_block(a)
+            self._actuate()
         else:
             super().answer(why)
-        self._actuate()
 
 
 class SimServer(BusServer):

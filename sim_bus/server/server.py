@@ -122,9 +122,10 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        worker, (_, host, _, course, _) = self._worker, self.world.arguments
-        why = int(self._run(self._pace, self._admission.clients, worker.shared, worker.loop, host, course))
-        self._drain_jobs(worker.shared, worker.loop, course, self._pace[0])
+        worker, (world, host, _, course, _) = self._worker, self.world.arguments
+        loop = worker.loop if worker.shared.state["on"] else world
+        why = int(self._run(self._pace, self._admission.clients, worker.shared, loop, host, course))
+        self._drain_jobs(worker.shared, loop, course, self._pace[0])
         return why
 
     @property

@@ -261,7 +261,7 @@ def test_a_bus_is_served_here_where_it_is_virtual_and_nobody_else_s(kind, joined
 def test_a_world_tells_of_each_boot_up_and_each_twin_once(tmp_path, said, shown):
     found = nodes(tmp_path, (MOTOR, 5), (BRAKE, 6), as_json=True)
     world = found.make_world(500_000, False)
-    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world))
+    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world, now_ns=lambda: world.t_ns))
     found.server.address = BusAddress("coulombus", "bus")
     world.power_on()
     world.wait_ns(2_000_000_000)
@@ -300,7 +300,9 @@ def test_a_node_that_is_there_is_told_in_words(tmp_path, shown):
     world = found.make_world(500_000, False)
     begun = []
     found.on_begin = begun.append
-    server = SimpleNamespace(address="coulombus:x", joined=False, bit_rate=500_000, world=world)
+    server = SimpleNamespace(
+        address="coulombus:x", joined=False, bit_rate=500_000, world=world, now_ns=lambda: world.t_ns
+    )
     found.begin(server)
     assert begun == [server]
     world.power_on()
@@ -317,7 +319,7 @@ def test_an_answer_is_no_boot_up(tmp_path, shown, said):
     world = found.make_world(500_000, False)
     world.power_on()
     world.wait_ns(2_000_000_000)
-    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world))
+    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world, now_ns=lambda: world.t_ns))
     answers = []
     tester = world.station({0x585}, answers.append)
     tester.send(0x605, b"\x40\x18\x10\x01\0\0\0\0")
@@ -329,7 +331,7 @@ def test_an_answer_is_no_boot_up(tmp_path, shown, said):
 def test_a_node_without_an_id_is_told_when_a_master_has_given_it_one(tmp_path, shown, said):
     found = nodes(tmp_path, (BRAKE, UNCONFIGURED))
     world = found.make_world(500_000, False)
-    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world))
+    found.begin(SimpleNamespace(address="bus", joined=False, bit_rate=500_000, world=world, now_ns=lambda: world.t_ns))
     world.power_on()
     world.wait_ns(2_000_000_000)
     assert shown == []
