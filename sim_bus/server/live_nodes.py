@@ -20,6 +20,7 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
+from coulombus.node.drive402 import DRIVE402
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
 from coulombus.node.hardware.watchdog_client import Guard
@@ -61,6 +62,7 @@ class LiveNodes:
     bit_rate : expected bit rate of the bus [bit/s]; 0: that of the DCFs, else 1 Mbit/s if it is
         served here
     node_ids : of the nodes
+    switches : places of the switches on the axes of drives, as in the record; None: no switches
     """
 
     eds: Sequence[tuple[Path, int | None]]
@@ -77,6 +79,7 @@ class LiveNodes:
     opened: list[tuple[str, ...]] = field(default_factory=list)
     kinds: list[Profile] = field(default_factory=list)
     pump: Pump | None = None
+    switches: tuple[float, float, float, float] | None = None
     on_begin: Callable[[BusServer], None] | None = None
 
     def __post_init__(self) -> None:
@@ -144,6 +147,18 @@ class LiveNodes:
             raise NodeError(f"the DCFs tell of {listed} bit/s, but a bus has one bit rate; give --bitrate")
         self.bit_rate = self.bit_rate or max(rates, default=0)
 
+    def place_switches(self, places: tuple[float, float, float, float]) -> None:
+        """Place the switches of every drive's axis: negative limit, home from and to, positive limit [counts].
+
+        Raises
+        ------
+        NodeError
+            No node is a drive.
+        """
+        if not any(kind.behaviour is DRIVE402.behaviour for kind in self.kinds):
+            raise NodeError("--switches: no node is a drive; give --kind drive")
+        self.switches = places
+
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
         """Return the network with only the nodes; a trial network stores and reports nothing."""
         network = VirtualNetwork(bit_rate, capacity=len(self.eds))
@@ -176,6 +191,8 @@ class LiveNodes:
             kept = store()
             devices.append(network.add(description, node_id, profile, store=kept))
             self._check_kind(devices[-1])
+            if self.switches is not None:
+                devices[-1].record["switch_counts"] = self.switches
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.foreign:
                 raise NodeError(f"--store {kept.diagnosis}; choose another file; this one is not overwritten")
