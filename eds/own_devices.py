@@ -1,4 +1,4 @@
-"""Identity of this project's own devices: 1018h of `motor.eds` and `mr_brake.eds`.
+"""Identity of this project's own devices: 1018h of `motor.eds`, `servo.eds` and `mr_brake.eds`.
 
 The definitions of 2000h to 5FFFh in these files hold for these devices only; each vendor defines
 its own objects there.
@@ -12,7 +12,7 @@ from importlib import resources
 from coulombus.eds.description import Description
 from coulombus.eds.reader import read_eds
 
-__all__ = ["MANUFACTURER", "PRODUCTS", "VENDOR_ID", "is_own", "packaged", "told_identity"]
+__all__ = ["MANUFACTURER", "PRODUCTS", "SERVO", "VENDOR_ID", "is_own", "packaged", "told_identity"]
 
 FILES = ("motor.eds", "mr_brake.eds")
 
@@ -20,6 +20,8 @@ VENDOR_ID = 0x4C0
 """1018h:01."""
 PRODUCTS: Mapping[str, int] = {"motor": 0x402, "brake": 0x404}
 """1018h:02 by the device's role in a rig."""
+SERVO = 0x403
+"""1018h:02 of `servo.eds`, a drive with every mode, for an axis without a rig."""
 MANUFACTURER = range(0x2000, 0x6000)
 """Manufacturer-specific objects (CiA 301, table 2)."""
 

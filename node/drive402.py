@@ -9,13 +9,17 @@ another vendor's drive follows 6007h, as in CiA 402.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 
+from coulombus.eds import cia402
 from coulombus.eds.cia301 import Abort
-from coulombus.eds.drive_scale import SCALE_OBJECTS, position_scale
+from coulombus.eds.drive_scale import SCALE_OBJECTS, VELOCITY_UNIT, position_scale, velocity_unit
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node import emcy, slots402, states402
+from coulombus.node import axis402, emcy, slots402, states402
 from coulombus.node.profile import (
     BY_RESET,
     SUPPLY_LOST,
@@ -39,8 +43,22 @@ _NO_SPEED_LIMIT = 0xFFFFFFFF
 _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
 """Causes of CiA 402's connection loss, for which 6007h applies."""
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
-_SCALED = frozenset((0x2010, 0x607D, 0x6080, *(index for index, _ in SCALE_OBJECTS)))
-_NO, _YES = constant(0), constant(1)
+_SCALED = frozenset((0x2010, 0x607D, 0x6080, VELOCITY_UNIT, 0x60C2, *(index for index, _ in SCALE_OBJECTS)))
+_TORQUE, _SPEED = constant(slots402.ACTS_TORQUE), constant(slots402.ACTS_SPEED)
+_POSITION, _NO = constant(slots402.ACTS_POSITION), constant(0)
+_SETPOINTS: Mapping[int, Key] = {
+    cia402.OPERATION_MODE_PROFILE_POSITION: (0x607A, 0),
+    cia402.OPERATION_MODE_PROFILE_VELOCITY: (0x60FF, 0),
+    cia402.OPERATION_MODE_PROFILE_TORQUE: _TARGET_TORQUE,
+    cia402.OPERATION_MODE_HOMING: (0x6098, 0),
+    cia402.OPERATION_MODE_INTERPOLATED_POSITION: (0x60C1, 1),
+    cia402.OPERATION_MODE_CSP: (0x607A, 0),
+    cia402.OPERATION_MODE_CSV: (0x60FF, 0),
+    cia402.OPERATION_MODE_CST: _TARGET_TORQUE,
+}
+"""Set-point of each mode; the homing method of mode 6."""
+_SPEED_RAD_S = 300.0
+"""Bandwidth of the speed control of a drive that knows its load."""
 COUNTS_REV = 8192.0
 """Counts in one turn of the motor, for a drive that does not state them."""
 _SUPPLY_mV = 48_000
@@ -50,9 +68,13 @@ _SUPPLY_mV = 48_000
 @kernel
 def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
     if carries & slots402.ACTS_TORQUE:
-        states402.new_setpoint(n, received_ns, _NO)
+        states402.new_setpoint(n, received_ns, _TORQUE)
     if carries & slots402.ACTS_SPEED:
-        states402.new_setpoint(n, received_ns, _YES)
+        states402.new_setpoint(n, received_ns, _SPEED)
+    if carries & slots402.ACTS_POSITION:
+        states402.new_setpoint(n, received_ns, _POSITION)
+    if carries & slots402.ACTS_PROBE:
+        axis402.new_probe_function(n)
     if carries & slots402.ACTS_CONTROLWORD:
         states402.new_controlword(n, t_ns, out)
 
@@ -93,23 +115,50 @@ def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
-    """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, and the
-    gains 2010h.
+    """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, the gains
+    2010h, the units and the period 60C2h.
     """
     number, own = objects.number, objects.own
+
+    def value(index: int, subindex: int) -> int:
+        return number(index, subindex, 0)
+
     rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
-    counts_rev = position_scale(lambda index, sub: number(index, sub, 0)).counts_rev or COUNTS_REV
+    counts_rev = position_scale(value).counts_rev or COUNTS_REV
     record["speed_max_counts_s"] = 1e18 if rpm == _NO_SPEED_LIMIT else rpm * counts_rev / 60
     positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
     record["guarded"] = int(rpm != _NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))
-    record["speed_kp"] = own(0x2010, 1, 15_000) * 1e-6
-    record["speed_ki"] = own(0x2010, 2, 300_000) * 1e-6
+    record["index_counts"], record["unit_counts_s"] = counts_rev, 1.0
+    with suppress(ValueError):
+        record["unit_counts_s"] = velocity_unit(value)[0] / (2 * math.pi) * counts_rev
+    kp, ki, position_kp = _gains(record)
+    record["speed_kp"] = own(0x2010, 1, round(kp * 1e6)) * 1e-6
+    record["speed_ki"] = own(0x2010, 2, round(ki * 1e6)) * 1e-6
+    record["position_kp"] = own(0x2010, 3, round(position_kp * 1e3)) * 1e-3
+    record["period_ns"] = round(number(0x60C2, 1) * 10.0 ** min(number(0x60C2, 2, -3), 0) * 1e9)
+
+
+def _gains(record: NodeRecord) -> tuple[float, float, float]:
+    """Return the gains for the load: proportional and integral of the speed control, and Kp of the position
+    control.
+    """
+    load = float(record["load_counts_s2"]) / float(record["unit_counts_s"])
+    if not load:
+        return 0.015, 0.3, 20.0
+    return _SPEED_RAD_S / load, _SPEED_RAD_S**2 / load / 5, _SPEED_RAD_S / 5
+
+
+def _modes(objects: Objects) -> int:
+    """Return the offered modes: those of 6502h whose objects the file has."""
+    supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
+    return sum(1 << mode - 1 for mode, key in _SETPOINTS.items() if supported >> mode - 1 & 1 and key in objects)
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["supply_mV"] = objects.number(0x6079, 0, 0) or _SUPPLY_mV
     ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
+    record["modes"] = _modes(objects)
     _scale(record, objects)
     states402.start(record, t_ns)
 
@@ -120,12 +169,11 @@ def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) ->
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """Admit only modes that 6502h states (bit n - 1 for mode n; mode 0 is "none"), and option codes that
-    the drive has.
+    """Admit only modes that 6502h states (bit n - 1 for mode n; mode 0 is "none") and whose set-point the
+    file has, and option codes that the drive has.
     """
     if index == _MODE:
-        supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
-        if value not in states402.MODES or (value > 0 and not supported >> (value - 1) & 1):
+        if value < 0 or (value > 0 and not _modes(objects) >> (value - 1) & 1):
             raise SdoAbort(Abort.VALUE)
     elif value not in states402.OPTION_CODES.get(index, (value,)):
         raise SdoAbort(Abort.VALUE)
@@ -165,6 +213,7 @@ DRIVE402 = Profile(
     behaviour=Behaviour(
         sample=states402.sample,
         actuate=states402.actuate,
+        look=states402.look,
         apply=_apply,
         connection_lost=_connection_lost,
         react=_react,

@@ -53,7 +53,7 @@ FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
 NO_INFO = constant(0)
 """Info of a cause without further data."""
 _NO_ERROR = constant(0x0000)
-OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE = range(8, 15)
+OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE, FOLLOWING = range(8, 16)
 LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
 
 _CURRENT, _VOLTAGE, _TEMPERATURE, _COMMUNICATION, _PROFILE = 0x02, 0x04, 0x08, 0x10, 0x20
@@ -74,7 +74,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("coil short circuit", 0x2320, _CURRENT, True),
     Cause("supply low", 0x3120, _VOLTAGE, True),
     Cause("input or output hardware failed", 0x5000, 0, True),
-    Cause("", 0xFF00, 0, False),
+    Cause("following error", 0x8611, _PROFILE, True),
     Cause("life guarding: no remote frame", 0x8130, _COMMUNICATION, True),
     Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),
     Cause("recovered from bus-off", 0x8140, _COMMUNICATION, True),
@@ -93,7 +93,7 @@ DEVICE_FAULTS = {
 
 FAULT_MASK = sum(1 << i for i, cause in enumerate(CAUSES) if cause.fault)
 DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END))
-AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE)
+AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE | 1 << FOLLOWING)
 """Faults that prevent a ramp to torque 0: of supply, power stage or encoder."""
 
 _CODE = np.array([cause.code for cause in CAUSES], np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from coulombus.eds.description import Description
-from coulombus.eds.own_devices import VENDOR_ID, told_identity
+from coulombus.eds.own_devices import SERVO, VENDOR_ID, told_identity
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.io401 import IO401, IO404
@@ -37,7 +37,8 @@ branch for each.
 """
 
 _OWN: Mapping[tuple[int, int], Profile] = {
-    (VENDOR_ID, profile.product): profile for profile in PROFILES if profile.product is not None
+    **{(VENDOR_ID, profile.product): profile for profile in PROFILES if profile.product is not None},
+    (VENDOR_ID, SERVO): DRIVE402,
 }
 
 

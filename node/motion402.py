@@ -8,7 +8,8 @@ Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
     vendor's    demand = clip(set-point * vendor_pm, low, high): a vendor-specific mode
     torque (4)  d demand / dt = +- 6087h until demand = clip(6071h, low, high)
     speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
-                demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)
+                demand = clip(Kp (speed - 606Ch) + integral + feed-forward, low, high),   d integral / dt = Ki (speed - 606Ch)
+    positions   a speed and a feed-forward of `node.position402`; the feed-forward of CSV is 60B2h
 
 The integral is held while the demand is at a limit and the error would increase it (anti-windup).
 Kp, Ki: 2010h.
@@ -27,21 +28,26 @@ import math
 
 from coulombus.eds import cia402
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node import slots402
+from coulombus.node import slots402, trapezoid
 from coulombus.node.record import NodeRecord
 
 __all__ = [
+    "HOMED",
     "MODES",
+    "POSITION_MODES",
     "QUICK",
     "SLOW",
     "begin",
     "change_mode",
+    "control_speed",
     "enter",
     "high_limit",
+    "is_position_mode",
     "is_speed_mode",
     "low_limit",
     "next_deadline",
     "other_mode",
+    "put_out",
     "stop",
     "target_bits",
 ]
@@ -49,8 +55,14 @@ __all__ = [
 _VELOCITY, _TORQUE = cia402.OPERATION_MODE_PROFILE_VELOCITY, cia402.OPERATION_MODE_PROFILE_TORQUE
 _CSV, _CST = cia402.OPERATION_MODE_CSV, cia402.OPERATION_MODE_CST
 _SPEED_MODES = (_VELOCITY, _CSV)
-MODES = (0, _VELOCITY, _TORQUE, _CSV, _CST)
-"""Allowed values of 6060h."""
+POSITION_MODES = (
+    cia402.OPERATION_MODE_PROFILE_POSITION,
+    cia402.OPERATION_MODE_HOMING,
+    cia402.OPERATION_MODE_INTERPOLATED_POSITION,
+    cia402.OPERATION_MODE_CSP,
+)
+MODES = (0, *POSITION_MODES, _VELOCITY, _TORQUE, _CSV, _CST)
+"""Allowed values of 6060h, where 6502h and the objects of the file have them."""
 
 SLOW, QUICK, _TO_ZERO = constant(1), constant(2), constant(3)
 """Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in
@@ -62,6 +74,8 @@ _HALT = 0x0100
 _TARGET_REACHED, _SPEED_ZERO, _SLIPPAGE = 0x0400, 0x1000, 0x2000
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _NO_TIME_NS = constant(0)
+HOMED = 5
+"""Stage of the homing that has found the home position (`node.homing402`)."""
 _LONGEST_STEP_S = 0.01  # largest step of the integral, after a longer time without calls
 
 
@@ -72,10 +86,21 @@ def is_speed_mode(mode: int) -> bool:
 
 
 @kernel
+def is_position_mode(n: NodeRecord) -> bool:
+    """Whether the active mode controls the position."""
+    return n.mode in POSITION_MODES and n.mode != n.vendor_mode
+
+
+@kernel
 def _beyond(n: NodeRecord) -> int:
-    """Return +1 if no upward push is allowed, -1 for downward, 2 for both directions: 607Dh and 6080h."""
-    position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+    """Return +1 if no upward push is allowed, -1 for downward, 2 for both directions: 607Dh and 6080h.
+
+    A position mode keeps its demand within 607Dh instead.
+    """
+    position = ((n.in_position_counts - n.zero_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
     lowest, highest = n.values[slots402.LOWEST_POSITION], n.values[slots402.HIGHEST_POSITION]
+    if is_position_mode(n):
+        lowest, highest = _LOWEST, _HIGHEST
     speed = n.in_velocity_counts_s
     up = (position >= highest and highest != _HIGHEST) or speed >= n.speed_max_counts_s
     down = (position <= lowest and lowest != _LOWEST) or speed <= -n.speed_max_counts_s
@@ -106,6 +131,8 @@ def stop(n: NodeRecord) -> None:
     n.slowing = 0
     n.ramping = 0
     n.integral_pm = 0.0
+    n.feed_forward_pm = 0.0
+    n.following_lost = 0
     n.torque_demand_pm = 0.0
     n.out_torque_pm = 0.0
     n.values[slots402.TORQUE_DEMAND] = 0
@@ -114,20 +141,35 @@ def stop(n: NodeRecord) -> None:
 
 @kernel
 def enter(n: NodeRecord, t_ns: int) -> None:
-    """Begin Operation Enabled from torque 0 and from the present speed."""
+    """Begin Operation Enabled from torque 0, and from the present speed and position."""
     n.slowing = 0
+    _hold(n, t_ns)
     n.integral_pm = 0.0
     n.speed_demand = n.in_velocity_counts_s
     n.demand_ns = n.off_target_ns = n.moving_ns = t_ns
 
 
 @kernel
-def _take_mode(n: NodeRecord) -> None:
+def _hold(n: NodeRecord, t_ns: int) -> None:
+    """Begin a position mode at the present position, without set-points."""
+    if not is_position_mode(n):
+        return
+    trapezoid.hold(n, t_ns)
+    n.target_speed = 0.0
+    n.target_limited = n.acknowledged = n.halted = n.waiting = n.following_lost = 0
+    n.cyclic_ns = -1
+    n.following_ns = n.off_target_ns = t_ns
+    if n.homing != HOMED:
+        n.homing = 0
+
+
+@kernel
+def _take_mode(n: NodeRecord, t_ns: int) -> None:
     """Activate the mode in 6060h; a mode that the drive lacks is none. If enabled, only the next set-point
-    gives torque.
+    gives torque; a position mode holds the position.
     """
     mode = n.values[slots402.MODE]
-    if mode not in MODES and mode != n.vendor_mode:
+    if not (0 < mode <= 32 and n.modes >> (mode - 1) & 1) and mode != n.vendor_mode:
         mode = 0
     if mode == n.mode:
         return
@@ -137,17 +179,21 @@ def _take_mode(n: NodeRecord) -> None:
     if n.power_state == _ENABLED:
         n.setpoint_stale = 1
         n.speed_demand = n.in_velocity_counts_s
+        _hold(n, t_ns)
 
 
 @kernel
 def change_mode(n: NodeRecord, t_ns: int) -> None:
-    """Handle a 6060h that differs from the active mode: ramp to torque 0, then change."""
+    """Handle a 6060h that differs from the active mode: ramp to torque 0, then change; from one position mode to
+    another at once.
+    """
     if n.slowing:
         return
-    if n.power_state == _ENABLED and n.torque_demand_pm != 0.0 and n.mode != 0:
+    both_hold = is_position_mode(n) and n.values[slots402.MODE] in POSITION_MODES
+    if n.power_state == _ENABLED and n.torque_demand_pm != 0.0 and n.mode != 0 and not both_hold:
         begin(n, t_ns, _TO_ZERO, _ENABLED)
     else:
-        _take_mode(n)
+        _take_mode(n, t_ns)
 
 
 @kernel
@@ -155,6 +201,9 @@ def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
     """Begin a ramp to torque 0, after which `state` follows; it may end at once."""
     n.slowing, n.slowing_to, n.slowing_ns = ramp, state, t_ns
     n.demand_ns = t_ns
+    n.feed_forward_pm = 0.0
+    if is_position_mode(n):
+        n.speed_demand = n.in_velocity_counts_s
     _slow_down(n, t_ns, _NO_TIME_NS)
 
 
@@ -164,17 +213,23 @@ def _towards(present: float, target: float, change: float) -> float:
 
 
 @kernel
+def _slows_speed(n: NodeRecord) -> bool:
+    """Whether the active ramp is that of a speed, not of the torque."""
+    return n.slowing != _TO_ZERO and (is_speed_mode(n.mode) or is_position_mode(n))
+
+
+@kernel
 def _slow_down(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     values = n.values
     late = t_ns - n.slowing_ns >= values[slots402.SLOW_DOWN_MS] * 1_000_000
     if late or n.in_supply_ok == 0:
         over = True
-    elif is_speed_mode(n.mode) and n.slowing != _TO_ZERO:
+    elif _slows_speed(n):
         rate = values[slots402.DECELERATION] if n.slowing == SLOW else values[slots402.QUICK_STOP_DECELERATION]
         n.speed_demand = _towards(n.speed_demand, 0.0, rate * 1e-9 * elapsed_ns)
         over = n.speed_demand == 0.0
         if not over:
-            _control_speed(n, elapsed_ns)
+            control_speed(n, elapsed_ns)
     else:
         demand = _towards(n.torque_demand_pm, 0.0, values[slots402.TORQUE_SLOPE] * 1e-9 * elapsed_ns)
         n.torque_demand_pm = min(max(demand, float(low_limit(n))), float(high_limit(n)))
@@ -183,28 +238,29 @@ def _slow_down(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
         n.power_state = n.slowing_to
         stop(n)
         if values[slots402.MODE] != n.mode:
-            _take_mode(n)
+            _take_mode(n, t_ns)
         return
     n.ramping = 1
-    _put_out(n)
+    put_out(n)
 
 
 @kernel
-def _put_out(n: NodeRecord) -> None:
+def put_out(n: NodeRecord) -> None:
+    """Command the torque demand."""
     n.out_torque_pm = n.torque_demand_pm
     n.values[slots402.TORQUE_DEMAND] = math.floor(n.torque_demand_pm + 0.5)
 
 
 @kernel
-def _control_speed(n: NodeRecord, elapsed_ns: int) -> None:
-    """Compute the PI control of `speed_demand`."""
+def control_speed(n: NodeRecord, elapsed_ns: int) -> None:
+    """Compute the PI control of `speed_demand`, with the torque feed-forward."""
     high, low = float(high_limit(n)), float(low_limit(n))
     error = n.speed_demand - n.in_velocity_counts_s
     if not abs(error) < math.inf:  # the speed is not a number
         n.torque_demand_pm = n.integral_pm = n.speed_demand = 0.0
         return
     change = n.speed_ki * error * min(elapsed_ns * 1e-9, _LONGEST_STEP_S)
-    demand = n.speed_kp * error + n.integral_pm + change
+    demand = n.speed_kp * error + n.integral_pm + change + n.feed_forward_pm
     if (demand > high and error > 0.0) or (demand < low and error < 0.0):
         n.limited = 1
     else:
@@ -236,7 +292,9 @@ def _speed_mode(n: NodeRecord, elapsed_ns: int) -> None:
     values = n.values
     target = _speed_target(n)
     halted = n.mode == _VELOCITY and n.controlword & _HALT
+    n.feed_forward_pm = 0.0
     if n.mode == _CSV:
+        n.feed_forward_pm = float(values[slots402.TORQUE_OFFSET])
         n.speed_demand = 0.0 if n.controlword & _HALT else target
     else:
         present = n.speed_demand
@@ -249,7 +307,7 @@ def _speed_mode(n: NodeRecord, elapsed_ns: int) -> None:
         if target * present < 0.0:
             target = 0.0  # slow down first, then accelerate in the other direction
         n.speed_demand = _towards(present, target, rate * 1e-9 * elapsed_ns)
-    _control_speed(n, elapsed_ns)
+    control_speed(n, elapsed_ns)
     n.ramping = 1  # the loop also runs without calls
 
 
@@ -296,7 +354,7 @@ def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
         _profile_torque(n, elapsed_ns)
     else:
         _speed_mode(n, elapsed_ns)
-    _put_out(n)
+    put_out(n)
 
 
 @kernel
@@ -330,7 +388,7 @@ def next_deadline(n: NodeRecord, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the end of the ramp."""
     values = n.values
     end = n.slowing_ns + values[slots402.SLOW_DOWN_MS] * 1_000_000
-    speeds = is_speed_mode(n.mode) and n.slowing != _TO_ZERO
+    speeds = _slows_speed(n)
     rate = values[slots402.DECELERATION if n.slowing == SLOW else slots402.QUICK_STOP_DECELERATION]
     if not speeds:
         rate = values[slots402.TORQUE_SLOPE]

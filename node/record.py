@@ -73,7 +73,52 @@ class DriveFields(Record):
     vendor_pm: float  # per mille of rated torque per count of its set-point
     vendor_slot: int  # slot of its set-point
     supply_mV: int  # value of 6079h while the supply is present
+    modes: int  # offered modes, as in 6502h
+    # axis (node.axis402)
     load_counts_s2: float  # acceleration of the axis by one per mille of torque, counts/s^2; 0: unknown
+    unit_counts_s: float  # counts/s in one unit of 606Ch (60A9h)
+    zero_counts: int  # position of the axis at which 6064h is 0
+    index_counts: float  # counts from one index pulse to the next
+    switch_counts: Annotated[FloatField, 4]  # places: negative limit, home from and to, positive limit
+    probe_function: int  # 60B8h that acts
+    probe_counts: float  # position at the last look at the probes
+    # position profile (node.trapezoid) and position control (node.position402)
+    profile_ns: int  # start of the profile
+    profile_end_ns: int  # its end
+    profile_from: float  # position and speed at its start
+    profile_from_speed: float
+    profile_to: float  # position and speed at its end
+    profile_to_speed: float
+    stretch_s: Annotated[FloatField, 4]  # duration of each stretch
+    stretch_a: Annotated[FloatField, 4]  # its acceleration, counts/s^2
+    position_demand: float  # demand now, counts
+    profile_speed: float  # its speed, counts/s
+    profile_acceleration: float  # its acceleration, counts/s^2
+    position_kp: float  # gain of the position controller, 1/s
+    feed_forward_pm: float  # torque added to the velocity controller
+    following_ns: int  # last time at which the following error was within 6065h
+    following_lost: int  # 1: it has been larger for longer than 6066h
+    period_ns: int  # time between cyclic set-points, 60C2h; 0: as measured
+    cyclic_ns: int  # reception of the last cyclic set-point; -1: none
+    # profile position: the active set-point, and the one that waits
+    target_counts: float  # active target
+    target_speed: float  # profile speed of the active set-point, counts/s
+    target_limited: int  # 1: 607Dh limits the active target
+    acknowledged: int  # bit 12 of the statusword
+    halted: int  # 1: halt acts
+    waiting: int  # 1: a set-point waits
+    waiting_counts: float  # its target
+    waiting_speed: float  # its profile speed, acceleration and deceleration
+    waiting_up: float
+    waiting_down: float
+    waiting_limited: int
+    # homing (node.homing402)
+    homing: int  # a `homing402` stage
+    homing_ns: int  # start of the homing
+    homing_direction: float  # of the present search, 1 or -1
+    homing_inputs: int  # switches at the last look
+    homing_counts: float  # position of the axis at the last look
+    home_counts: float  # place of the home position
 
 
 class BrakeFields(Record):
@@ -297,5 +342,6 @@ def new_nodes(n: int) -> RecordArray[NodeRecord]:
     nodes["time_set_ns"] = -1
     nodes["outbox_next_ns"] = FAR_FUTURE_NS
     nodes["station"] = np.arange(n)
+    nodes["switch_counts"] = -np.inf, np.inf, np.inf, np.inf
     nodes["rpdo"]["cob_id"] = nodes["tpdo"]["cob_id"] = -1
     return nodes

@@ -50,8 +50,14 @@ _ABSENT: Mapping[Key, tuple[int, str]] = {
 """Objects of a drive without a rig whose default a file may lack: the value, and what 0 would mean."""
 
 _POSITIONS = ((0x607D, 1), -_FARTHEST - 1), ((0x607D, 2), _FARTHEST)
-_MODES: tuple[tuple[int, int], ...] = ((0x6071, 1 << 3 | 1 << 9), (0x60FF, 1 << 2 | 1 << 8))
-"""Set-points, and the bits of 6502h of their modes: 4 and 10, 3 and 9."""
+_MODES: tuple[tuple[int, int], ...] = (
+    (0x6071, 1 << 3 | 1 << 9),
+    (0x607A, 1 << 0 | 1 << 7),
+    (0x6098, 1 << 5),
+    (0x60C1, 1 << 6),
+    (0x60FF, 1 << 2 | 1 << 8),
+)
+"""Set-points, and the bits of 6502h of their modes: 4 and 10, 1 and 8, 6, 7, 3 and 9."""
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from coulombus.node.profile import CoreObject, Terminal
 from coulombus.node.slots import COMMON, ERROR_CODE
 
-ACTS_CONTROLWORD, ACTS_TORQUE, ACTS_SPEED = 1, 2, 4
-"""Objects on which the drive acts: 6040h, 6071h, 60FFh."""
+ACTS_CONTROLWORD, ACTS_TORQUE, ACTS_SPEED, ACTS_POSITION, ACTS_PROBE = 1, 2, 4, 8, 16
+"""Objects on which the drive acts: 6040h, 6071h, 60FFh, 607Ah and 60C1h, 60B8h."""
 
 CONTROLWORD = 8
 STATUSWORD = 9
@@ -48,12 +48,41 @@ VELOCITY_THRESHOLD = 45
 VELOCITY_THRESHOLD_MS = 46
 MAX_SLIPPAGE = 47
 VENDOR_TARGET = 48  # set-point of a vendor-specific mode
+POSITION_DEMAND = 49
+INTERNAL_POSITION = 50
+FOLLOWING_WINDOW = 51
+FOLLOWING_MS = 52
+POSITION_WINDOW = 53
+POSITION_WINDOW_MS = 54
+TARGET_POSITION = 55
+RANGE_LOW = 56
+RANGE_HIGH = 57
+HOME_OFFSET = 58
+PROFILE_VELOCITY = 59
+HOMING_METHOD = 60
+HOMING_SPEED = 61
+HOMING_ZERO_SPEED = 62
+HOMING_ACCELERATION = 63
+POSITION_OFFSET = 64
+INTERPOLATED_POSITION = 65
+MAX_ACCELERATION = 66
+MAX_DECELERATION = 67
+POSITION_OPTION = 68
+FOLLOWING_ERROR = 69
+DIGITAL_INPUTS = 70
+PROBE_FUNCTION = 71
+PROBE_STATUS = 72
+PROBE_RISING = 73  # of probe 1; of probe 2: + 2
+PROBE_FALLING = 74
+
+NO_WINDOW = 0xFFFFFFFF
+"""6065h or 6067h that is off."""
 
 OBJECTS: tuple[CoreObject, ...] = (
     *COMMON,
     CoreObject(0x2006, 0, SLOW_DOWN_MS, 1000),
-    CoreObject(0x603F, 0, ERROR_CODE),
     CoreObject(0x6007, 0, ABORT_OPTION, 2),
+    CoreObject(0x603F, 0, ERROR_CODE),
     CoreObject(0x6040, 0, CONTROLWORD, acts=ACTS_CONTROLWORD, needed=True),
     CoreObject(0x6041, 0, STATUSWORD, needed=True),
     CoreObject(0x605A, 0, QUICK_STOP_OPTION, 2),
@@ -63,7 +92,13 @@ OBJECTS: tuple[CoreObject, ...] = (
     CoreObject(0x605E, 0, FAULT_OPTION),
     CoreObject(0x6060, 0, MODE, 10),
     CoreObject(0x6061, 0, MODE_DISPLAY),
+    CoreObject(0x6062, 0, POSITION_DEMAND, changing=True),
+    CoreObject(0x6063, 0, INTERNAL_POSITION, changing=True),
     CoreObject(0x6064, 0, POSITION, changing=True),
+    CoreObject(0x6065, 0, FOLLOWING_WINDOW, NO_WINDOW),
+    CoreObject(0x6066, 0, FOLLOWING_MS),
+    CoreObject(0x6067, 0, POSITION_WINDOW, NO_WINDOW),
+    CoreObject(0x6068, 0, POSITION_WINDOW_MS),
     CoreObject(0x606B, 0, VELOCITY_DEMAND, changing=True),
     CoreObject(0x606C, 0, VELOCITY, changing=True),
     CoreObject(0x606D, 0, VELOCITY_WINDOW),
@@ -77,18 +112,40 @@ OBJECTS: tuple[CoreObject, ...] = (
     CoreObject(0x6077, 0, TORQUE_ACTUAL, changing=True),
     CoreObject(0x6078, 0, CURRENT_ACTUAL, changing=True),
     CoreObject(0x6079, 0, DC_LINK_MV, changing=True),
+    CoreObject(0x607A, 0, TARGET_POSITION, acts=ACTS_POSITION),
+    CoreObject(0x607B, 1, RANGE_LOW),
+    CoreObject(0x607B, 2, RANGE_HIGH),
+    CoreObject(0x607C, 0, HOME_OFFSET),
     CoreObject(0x607D, 1, LOWEST_POSITION, -0x80000000),
     CoreObject(0x607D, 2, HIGHEST_POSITION, 0x7FFFFFFF),
     CoreObject(0x607F, 0, MAX_VELOCITY, 0x7FFFFFFF),
+    CoreObject(0x6081, 0, PROFILE_VELOCITY, 0x7FFFFFFF),
     CoreObject(0x6083, 0, ACCELERATION, 1_000_000),
     CoreObject(0x6084, 0, DECELERATION, 1_000_000),
     CoreObject(0x6085, 0, QUICK_STOP_DECELERATION, 4_000_000),
     CoreObject(0x6087, 0, TORQUE_SLOPE, 1_000_000),
+    CoreObject(0x6098, 0, HOMING_METHOD),
+    CoreObject(0x6099, 1, HOMING_SPEED, 10_000),
+    CoreObject(0x6099, 2, HOMING_ZERO_SPEED, 1000),
+    CoreObject(0x609A, 0, HOMING_ACCELERATION, 1_000_000),
+    CoreObject(0x60B0, 0, POSITION_OFFSET),
     CoreObject(0x60B1, 0, VELOCITY_OFFSET),
     CoreObject(0x60B2, 0, TORQUE_OFFSET),
+    CoreObject(0x60B8, 0, PROBE_FUNCTION, acts=ACTS_PROBE),
+    CoreObject(0x60B9, 0, PROBE_STATUS),
+    CoreObject(0x60BA, 0, PROBE_RISING, changing=True),
+    CoreObject(0x60BB, 0, PROBE_FALLING, changing=True),
+    CoreObject(0x60BC, 0, PROBE_RISING + 2, changing=True),
+    CoreObject(0x60BD, 0, PROBE_FALLING + 2, changing=True),
+    CoreObject(0x60C1, 1, INTERPOLATED_POSITION, acts=ACTS_POSITION),
+    CoreObject(0x60C5, 0, MAX_ACCELERATION),
+    CoreObject(0x60C6, 0, MAX_DECELERATION),
     CoreObject(0x60E0, 0, POSITIVE_LIMIT, 32767),
     CoreObject(0x60E1, 0, NEGATIVE_LIMIT, 32767),
+    CoreObject(0x60F2, 0, POSITION_OPTION),
+    CoreObject(0x60F4, 0, FOLLOWING_ERROR, changing=True),
     CoreObject(0x60F8, 0, MAX_SLIPPAGE, 0x7FFFFFFF),
+    CoreObject(0x60FD, 0, DIGITAL_INPUTS),
     CoreObject(0x60FF, 0, TARGET_VELOCITY, acts=ACTS_SPEED),
     CoreObject(0x6502, 0, SUPPORTED_MODES, 0x30C),
 )

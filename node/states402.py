@@ -29,7 +29,7 @@ from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node import emcy, motion402, slots, slots402
+from coulombus.node import axis402, emcy, homing402, motion402, position402, slots, slots402
 from coulombus.node.motion402 import MODES
 from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
@@ -41,6 +41,7 @@ __all__ = [
     "actuate",
     "connection_lost",
     "fault",
+    "look",
     "new_controlword",
     "new_setpoint",
     "next_deadline",
@@ -55,13 +56,19 @@ OPTION_CODES: Mapping[int, tuple[int, ...]] = {
     0x605C: (0, 1),
     0x605D: (1, 2),
     0x605E: (0, 1, 2),
+    0x6086: (0,),
+    0x6098: homing402.METHODS,
+    0x60C0: (0,),
 }
-"""Allowed option codes: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8)."""
+"""Allowed option codes: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8), no profile
+but the trapezoid (6086h) and no interpolation but the linear (60C0h).
+"""
 
 ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
 """Value of 6502h: modes that the drive supports."""
 
-_CST = cia402.OPERATION_MODE_CST
+_CST, _CSP, _HOMING = cia402.OPERATION_MODE_CST, cia402.OPERATION_MODE_CSP, cia402.OPERATION_MODE_HOMING
+_INTERPOLATED = cia402.OPERATION_MODE_INTERPOLATED_POSITION
 
 _HALT = 0x0100
 _WARNING, _REMOTE, _TARGET_REACHED, _LIMIT, _FOLLOWS = 0x0080, 0x0200, 0x0400, 0x0800, 0x1000
@@ -72,6 +79,7 @@ _NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
     3,
 )  # 6007h; 2 is "disable voltage", and so are values that are not allowed
 _STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
+_FOLLOWING_LOST = 1 << (emcy.FOLLOWING - emcy.FIRST_DEVICE_CAUSE)
 _FAULT, _OFF = constant(PowerState.FAULT), constant(PowerState.SWITCH_ON_DISABLED)
 _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
 """Ramp by option code; 0: at once."""
@@ -86,6 +94,7 @@ def start(n: NodeRecord, t_ns: int) -> None:
     n.setpoint_stale = 0
     n.demand_ns = t_ns
     n.limited = 0
+    n.homing = n.zero_counts = n.probe_function = n.values[slots402.PROBE_STATUS] = 0
     motion402.stop(n)
     n.mode = n.values[slots402.MODE_DISPLAY] = 0
     motion402.change_mode(n, t_ns)
@@ -126,6 +135,12 @@ def fault(n: NodeRecord, t_ns: int, at_once: int) -> None:
     elif n.power_state != PowerState.FAULT_REACTION_ACTIVE:
         n.power_state = PowerState.FAULT_REACTION_ACTIVE
         motion402.begin(n, t_ns, ramp, _FAULT)
+
+
+@kernel
+def look(n: NodeRecord, t_ns: int) -> None:
+    """Detect a following error."""
+    n.detected = n.detected | _FOLLOWING_LOST if n.following_lost else n.detected & ~_FOLLOWING_LOST
 
 
 @kernel
@@ -173,7 +188,18 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> int:
 
 @kernel
 def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Act on the written controlword: at most one row of the table."""
+    """Act on the written controlword: at most one row of the table, then the bits of a position mode."""
+    before = n.controlword
+    _command(n, t_ns, out)
+    if n.power_state == PowerState.OPERATION_ENABLED and n.slowing == 0 and motion402.is_position_mode(n):
+        if n.mode == _HOMING:
+            homing402.new_controlword(n, t_ns, before)
+        else:
+            position402.new_controlword(n, t_ns, before)
+
+
+@kernel
+def _command(n: NodeRecord, t_ns: int, out: Queue) -> None:
     word = n.values[slots402.CONTROLWORD]
     rising = word & 0x80 and not n.controlword & 0x80
     n.controlword = word
@@ -230,9 +256,14 @@ def _leave(n: NodeRecord, t_ns: int, following: int) -> None:
 
 
 @kernel
-def new_setpoint(n: NodeRecord, t_ns: int, speed: int) -> None:
-    """Apply the set-point in 6071h, or in 60FFh (`speed`), received at `t_ns`, if the mode uses it."""
-    if speed != motion402.is_speed_mode(n.mode):
+def new_setpoint(n: NodeRecord, t_ns: int, acts: int) -> None:
+    """Apply the set-point received at `t_ns`, if the mode uses it; `acts`: that of 6071h, 60FFh or 607Ah and 60C1h."""
+    if motion402.is_position_mode(n):
+        if acts != slots402.ACTS_POSITION or (n.mode != _CSP and n.mode != _INTERPOLATED):
+            return
+        if n.power_state == PowerState.OPERATION_ENABLED and n.slowing == 0:
+            position402.new_target(n, t_ns)
+    elif acts != (slots402.ACTS_SPEED if motion402.is_speed_mode(n.mode) else slots402.ACTS_TORQUE):
         return
     if n.setpoint_armed == 0:
         n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the check of its age
@@ -241,7 +272,7 @@ def new_setpoint(n: NodeRecord, t_ns: int, speed: int) -> None:
     n.setpoint_ns = t_ns
     n.setpoint_armed = 1
     n.setpoint_stale = 0
-    if not speed and n.mode != n.vendor_mode:
+    if acts == slots402.ACTS_TORQUE and n.mode != n.vendor_mode:
         target = n.values[slots402.TARGET_TORQUE]
         if target > motion402.high_limit(n) or target < motion402.low_limit(n):
             n.clipped_setpoints += 1
@@ -259,6 +290,20 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
     elapsed_ns = t_ns - n.demand_ns
     n.demand_ns = t_ns
     n.ramping = 0
+    if n.probe_function:
+        axis402.look_at_probes(n)
+    if (
+        n.power_state == PowerState.OPERATION_ENABLED
+        and n.in_supply_ok
+        and motion402.is_position_mode(n)
+        and not n.slowing
+    ):
+        if n.mode == _HOMING:
+            homing402.actuate(n, t_ns, elapsed_ns)
+        else:
+            position402.actuate(n, t_ns, elapsed_ns)
+        motion402.put_out(n)
+        return
     if n.mode != _CST or n.slowing or n.mode == n.vendor_mode:
         motion402.other_mode(n, t_ns, elapsed_ns)
         return
@@ -290,9 +335,14 @@ def _to_int32(value: float) -> int:
 def sample(n: NodeRecord) -> None:
     """Write actual position, velocity, torque and the statusword to their slots."""
     values = n.values
-    values[slots402.POSITION] = (
-        (n.in_position_counts + 0x80000000) & 0xFFFFFFFF
-    ) - 0x80000000  # wraps like the counter
+    position = float(n.in_position_counts)
+    values[slots402.POSITION] = axis402.user_position(n, position)
+    values[slots402.INTERNAL_POSITION] = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+    values[slots402.DIGITAL_INPUTS] = axis402.inputs(n, position)
+    controlled = n.power_state == PowerState.OPERATION_ENABLED and motion402.is_position_mode(n)
+    demand = n.position_demand if controlled else position
+    values[slots402.POSITION_DEMAND] = axis402.user_position(n, demand)
+    values[slots402.FOLLOWING_ERROR] = _to_int32(demand - position)
     values[slots402.VELOCITY] = _to_int32(n.in_velocity_counts_s)
     values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
     values[slots402.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
@@ -306,7 +356,10 @@ def sample(n: NodeRecord) -> None:
         word |= _REMOTE
     if n.limited:
         word |= _LIMIT
-    if n.power_state == PowerState.OPERATION_ENABLED and not n.setpoint_stale:
+    if controlled:
+        if not n.slowing:
+            word |= homing402.status_bits(n) if n.mode == _HOMING else position402.status_bits(n)
+    elif n.power_state == PowerState.OPERATION_ENABLED and not n.setpoint_stale:
         if n.mode != _CST:
             word |= motion402.target_bits(n)
         elif not n.slowing and not n.controlword & _HALT:
@@ -324,4 +377,6 @@ def next_deadline(n: NodeRecord, next_ns: int) -> int:
         next_ns = min(next_ns, n.setpoint_ns + age_ns)
     if n.slowing:
         next_ns = motion402.next_deadline(n, next_ns)
+    if n.detected & _FOLLOWING_LOST and not n.following_lost:
+        next_ns = min(next_ns, n.demand_ns)  # to release the cause
     return next_ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -57,6 +58,31 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
             self.fail(str(error), param, ctx)
 
 
+class Switches(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """Places of a drive's switches: the negative limit, both ends of the home switch, the positive limit."""
+
+    name = "switches"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float, float]:
+        """Return the places in counts; a switch that is missing is infinitely far away."""
+        if isinstance(value, tuple):
+            return value
+        places = {"negative": (-math.inf, -math.inf), "home": (math.inf, math.inf), "positive": (math.inf, math.inf)}
+        for part in value.split(","):
+            switch, _, place = part.partition("=")
+            first, colon, last = place.partition(":")
+            try:
+                ends = float(first), float(last) if colon else math.inf
+            except ValueError:
+                ends = math.nan, math.nan
+            if switch not in places or not ends[0] <= ends[1] or (colon and switch != "home"):
+                self.fail(f"{part!r} is not negative=PLACE, home=FROM:TO or positive=PLACE, in counts", param, ctx)
+            places[switch] = ends
+        return places["negative"][0], *places["home"], places["positive"][0]
+
+
 @dataclass(frozen=True)
 class Served:
     """Simulated nodes of the EDS files, from the options."""
@@ -67,6 +93,7 @@ class Served:
     processing_us: float
     bitrate: int | None
     io: Path | None
+    switches: tuple[float, float, float, float] | None
 
     def of(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
         """Return the nodes of these EDS files.
@@ -83,7 +110,10 @@ class Served:
                 f"{len(eds)} EDS files and {len(self.node_ids)} --node-id; give one --node-id for each file"
             )
         files = tuple(zip(eds, self.node_ids or (None,) * len(eds), strict=True))
-        return LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io, load)
+        nodes = LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io, load)
+        if self.switches is not None:
+            nodes.place_switches(self.switches)
+        return nodes
 
 
 @dataclass(frozen=True)
@@ -180,6 +210,14 @@ served_options = bundle(
         help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
         "(docs/own-device.md).",
     ),
+    click.option(
+        "--switches",
+        type=Switches(),
+        default=None,
+        metavar="PLACES",
+        help="Switches on a drive's axis, in counts from its power-on: negative=-20000,home=0:500,positive=20000 "
+        "(docs/devices.md).  [default: none]",
+    ),
 )
 
 
@@ -226,6 +264,7 @@ def node_command(
       coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
       coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
       coulombus node drive.eds --node-id 5 --bus coulombus:desk --kind drive --inertia 1e-3 --friction 0.05
+      coulombus node eds/servo.eds --node-id 5 --bus coulombus:desk --switches negative=-20000,positive=20000
       coulombus node configured.dcf --bus coulombus:desk
       coulombus node eds/mr_brake.eds --node-id 2 --bus socketcan:can0 --io brake-io.toml
     """

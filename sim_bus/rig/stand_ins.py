@@ -37,7 +37,7 @@ from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.further_axis import on_axis
 from coulombus.node.io401 import ANALOGUE_OUT
 from coulombus.node.kinds import of_description
-from coulombus.node.motion402 import MODES
+from coulombus.node.motion402 import MODES, POSITION_MODES
 from coulombus.node.profile import CoreObject, Key, Profile
 from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.slots import FIRST_FREE
@@ -148,7 +148,8 @@ def _drive(axis: Axis, setpoint: Binding) -> Profile:
     part = axis.brake if setpoint.node == "brake" else axis.motor
     mode = mode_of(part, axis.description(setpoint.node))
     own = _own_key(part, setpoint)
-    drive = DRIVE402 if own == _SETPOINT and mode in MODES else with_own_mode(mode, own, _per_mille(axis, setpoint))
+    plain = own == _SETPOINT and mode in MODES and mode not in POSITION_MODES
+    drive = DRIVE402 if plain else with_own_mode(mode, own, _per_mille(axis, setpoint))
     return on_axis(drive, drive_axis_of(part))
 
 

@@ -68,6 +68,7 @@ class LiveNodes:
     bit_rate : expected bit rate of the bus [bit/s]; 0: that of the DCFs, else 1 Mbit/s if it is
         served here
     node_ids : of the nodes
+    switches : places of the switches on the axes of drives, as in the record; None: no switches
     """
 
     eds: Sequence[tuple[Path, int | None]]
@@ -85,6 +86,7 @@ class LiveNodes:
     opened: list[tuple[str, ...]] = field(default_factory=list)
     kinds: list[Profile] = field(default_factory=list)
     pump: Pump | None = None
+    switches: tuple[float, float, float, float] | None = None
     on_begin: Callable[[BusServer], None] | None = None
     _watches: list[StandstillWatch] = field(default_factory=list)
 
@@ -164,6 +166,18 @@ class LiveNodes:
             raise NodeError(f"the DCFs tell of {listed} bit/s, but a bus has one bit rate; give --bitrate")
         self.bit_rate = self.bit_rate or max(rates, default=0)
 
+    def place_switches(self, places: tuple[float, float, float, float]) -> None:
+        """Place the switches of every drive's axis: negative limit, home from and to, positive limit [counts].
+
+        Raises
+        ------
+        NodeError
+            No node is a drive.
+        """
+        if not any(kind.behaviour is DRIVE402.behaviour for kind in self.kinds):
+            raise NodeError("--switches: no node is a drive; give --kind drive")
+        self.switches = places
+
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
         """Return the network with only the nodes; a trial network stores and reports nothing."""
         network = VirtualNetwork(bit_rate, capacity=len(self.eds))
@@ -198,6 +212,8 @@ class LiveNodes:
             self._check_kind(devices[-1])
             if self._has_load(profile):
                 network.attach_load(len(network.devices) - 1, self.load.plant(devices[-1].dictionary))
+            if self.switches is not None:
+                devices[-1].record["switch_counts"] = self.switches
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.foreign:
                 raise NodeError(f"--store {kept.diagnosis}; choose another file; this one is not overwritten")

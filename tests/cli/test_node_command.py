@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import signal
@@ -18,7 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 import eds_text
-from coulombus.cli.node import node_command
+from coulombus.cli.node import Switches, node_command
 from coulombus.eds.reader import EdsError, read_eds
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
@@ -256,3 +257,32 @@ def test_every_object_of_a_vendors_file_is_served(path):
             assert answer.data[0] == 0x80
         answered += 1
     assert answered > 10
+
+
+@pytest.mark.parametrize(
+    ("text", "places"),
+    [
+        ("negative=-20000,home=0:500,positive=20000", (-20_000, 0, 500, 20_000)),
+        ("home=-3", (-math.inf, -3, math.inf, math.inf)),
+        ("positive=7", (-math.inf, math.inf, math.inf, 7)),
+    ],
+)
+def test_switches_are_places_on_the_axis(text, places):
+    assert Switches().convert(text, None, None) == places
+
+
+@pytest.mark.parametrize("text", ["", "home", "limit=3", "negative=x", "home=5:4", "positive=1:2", "home=nan"])
+def test_switches_that_are_no_places_are_refused(text):
+    run = CliRunner().invoke(node_command, [str(MOTOR), "--bus", "coulombus:x", "--switches", text])
+    assert run.exit_code == 2
+    assert "is not negative=PLACE, home=FROM:TO or positive=PLACE, in counts" in run.output
+
+
+def test_only_a_drive_has_switches():
+    nodes = LiveNodes([(BRAKE, 2)])
+    with pytest.raises(NodeError, match="no node is a drive; give --kind drive"):
+        nodes.place_switches((-1.0, 0.0, 1.0, 2.0))
+    nodes = LiveNodes([(BRAKE, 2), (MOTOR, 1)])
+    nodes.place_switches((-1.0, 0.0, 1.0, 2.0))
+    network = VirtualNetwork(capacity=2)
+    assert [*nodes.add_to(network)[1].record["switch_counts"]] == [-1, 0, 1, 2]

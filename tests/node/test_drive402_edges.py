@@ -34,6 +34,7 @@ def drive(state=OE, torque=300, **values):
     nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.node_id, n.emcy_id = KIND_DRIVE, 5, 1, state, 10, 1, 0x81
+    n.modes = 0x30C
     n.next_ns, n.demand_ns, n.setpoint_armed, n.setpoint_ns = T + 10**9, T, 1, T
     n.speed_max_counts_s = math.inf
     n.torque_demand_pm = n.out_torque_pm = float(torque)
@@ -253,7 +254,7 @@ def test_a_drive_that_is_enabled_again_leaves_its_ramp(state, to, word):
 def test_a_setpoint_counts_in_the_modes_that_it_is_for(mode, is_speed, speed):
     n = drive()
     n.mode, n.setpoint_stale, n.setpoint_armed, n.setpoint_ns = mode, 1, 0, 3
-    states402.new_setpoint(n, T + 9, speed)
+    states402.new_setpoint(n, T + 9, slots402.ACTS_SPEED if speed else slots402.ACTS_TORQUE)
     taken = speed == is_speed
     assert (n.setpoint_stale, n.setpoint_armed, n.setpoint_ns) == ((0, 1, T + 9) if taken else (1, 0, 3))
 
@@ -262,7 +263,7 @@ def test_a_setpoint_counts_in_the_modes_that_it_is_for(mode, is_speed, speed):
 def test_the_first_setpoint_asks_for_the_watch_of_its_age(armed, next_ns, after):
     n = drive()
     n.setpoint_armed, n.next_ns = armed, next_ns
-    states402.new_setpoint(n, T + 9, False)
+    states402.new_setpoint(n, T + 9, slots402.ACTS_TORQUE)
     assert n.next_ns == after
 
 
@@ -270,7 +271,7 @@ def test_the_first_setpoint_asks_for_the_watch_of_its_age(armed, next_ns, after)
 def test_a_slope_begins_when_its_setpoint_comes(ramping, before, after):
     n = drive()
     n.ramping, n.demand_ns = ramping, before
-    states402.new_setpoint(n, T + 9, False)
+    states402.new_setpoint(n, T + 9, slots402.ACTS_TORQUE)
     assert n.demand_ns == after
 
 
@@ -278,13 +279,13 @@ def test_a_slope_begins_when_its_setpoint_comes(ramping, before, after):
 def test_a_setpoint_beyond_the_limits_is_counted(target, clipped):
     n = drive(OE, target)
     n.clipped_setpoints = 4
-    states402.new_setpoint(n, T, False)
+    states402.new_setpoint(n, T, slots402.ACTS_TORQUE)
     assert n.clipped_setpoints == 4 + clipped
     n.mode = 9
-    states402.new_setpoint(n, T, True)
+    states402.new_setpoint(n, T, slots402.ACTS_SPEED)
     assert n.clipped_setpoints == 4 + clipped
     n.mode = n.vendor_mode = -3  # 6071h is no set-point of it
-    states402.new_setpoint(n, T, False)
+    states402.new_setpoint(n, T, slots402.ACTS_TORQUE)
     assert n.clipped_setpoints == 4 + clipped
 
 

@@ -33,7 +33,7 @@ def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
     nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.controlword = KIND_DRIVE, 5, 1, OE, mode, 15
-    n.demand_ns, n.torque_demand_pm, n.out_torque_pm = T, torque, torque
+    n.modes, n.demand_ns, n.torque_demand_pm, n.out_torque_pm = 0x30C, T, torque, torque
     n.in_velocity_counts_s = n.speed_demand = speed
     n.speed_kp, n.speed_ki, n.speed_max_counts_s = 0.25, 64.0, 1e6
     v = n.values

@@ -211,7 +211,7 @@ def test_an_alarm_is_told_and_reacted_to_by_kind(kind, cause, fault_option):
     assert n.causes == 1 << cause
     device = emcy.FIRST_DEVICE_CAUSE <= cause < emcy.DEVICE_CAUSES_END
     if kind == KIND_DRIVE:
-        at_once = cause == emcy.SUPPLY or (device and cause != emcy.OVER_TEMPERATURE)
+        at_once = cause == emcy.SUPPLY or (device and cause not in (emcy.OVER_TEMPERATURE, emcy.FOLLOWING))
         faulty = emcy.CAUSES[cause].fault
         ramps = faulty and fault_option == 1 and not at_once
         assert n.power_state == (6 if ramps else FAULT if faulty else OE)
@@ -263,11 +263,12 @@ def test_each_fault_of_the_device_comes_once_and_goes(kind, bit, source):
     if kind == KIND_BRAKE and source == "detected":
         n.cooled_degC = -math.inf
     for told in ([emcy.CAUSES[cause].code], []):
+        n.following_lost = int(cause == emcy.FOLLOWING and source == "detected")
         node.call(reactions.inputs)
         assert node.codes() == told
         assert n.causes == 1 << cause
     setattr(n, source, 0)
-    n.detected = 0
+    n.detected = n.following_lost = 0
     node.call(reactions.inputs)
     assert n.causes == 0
     held = kind == KIND_DRIVE and emcy.CAUSES[cause].fault  # until its reset
