@@ -80,6 +80,10 @@ def run(what: str, options: argparse.Namespace) -> None:
         from benchmarks.coverage import coverage
 
         coverage(options.rigs, options.seed)
+    elif what == "worlds":
+        from benchmarks.random_worlds import random_worlds
+
+        random_worlds(options.rigs, options.seed)
     elif what == "loss":
         from benchmarks.loss import loss
 
@@ -188,7 +192,7 @@ def main() -> None:
     parser.add_argument("--displays", action="store_true", help="observers judge what they feel of simulated displays")
     parser.add_argument("--groups", type=int, default=0, help="of observers, for the hierarchical fit")
     parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
-    parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned")
+    parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned, or worlds")
     parser.add_argument("--ends", type=int, default=0, help="random ends and trips of each mode, instead of the table")
     parser.add_argument("--seed", type=int, default=1, help="of the random rigs")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")

@@ -28,5 +28,5 @@ SENTENCES: Mapping[str, str] = {
 }
 """The benchmarks of ``make bench``, in their order: figures of the processor first, the long ones last."""
 
-BESIDE = ("bits", "coverage", "loss", "lost", "disturbed", "observers", "releases")
+BESIDE = ("bits", "coverage", "loss", "lost", "disturbed", "observers", "releases", "worlds")
 """Those that run only when named: they take up to an hour."""

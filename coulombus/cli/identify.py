@@ -26,7 +26,9 @@ __all__ = ["identify"]
 @force_option
 @click.option("--axis", metavar="A", help="Axis of a rig with several.")
 @click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
-@click.option("--column", "columns", multiple=True, metavar="C=NAME", help="Of a table: t, angle, torque or brake.")
+@click.option(
+    "--column", "columns", multiple=True, metavar="C=NAME", help="Of a table: t, angle, torque, brake or load."
+)
 @click.option("--unit", "units", multiple=True, metavar="C=UNIT", help="Of a table: the unit of a column.")
 @click.option("--ratio", type=float, metavar="N", help="Of a table: motor turns for one of the angle; finds cogging.")
 @click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
@@ -43,8 +45,8 @@ def identify(
     second, each with its 95 % confidence interval. The recording needs strokes, to and fro, best at
     several speeds and with the coil off.
 
-    FILE may be a table, too: CSV, Parquet or MAT, with the columns t, angle, torque, and brake where
-    there is one. A unit stands in the column's name (angle_deg, "torque [mNm]") or in --unit.
+    FILE may be a table, too: CSV, Parquet or MAT, with the columns t, angle, torque, and brake and load
+    where there are any. A unit stands in the column's name (angle_deg, "torque [mNm]") or in --unit.
 
     With --law the parameters of that law are sought that give the hand's torque along the recorded
     angle, or along that of a table.

@@ -73,6 +73,9 @@ class Friction(Section):
     angle_share: float = Field(0.0, ge=0, le=0.99, description="amplitude of the friction's change with the angle")
     angle_periods: int = Field(1, ge=1, le=10_000, description="its periods in one revolution of the handle")
     angle_phase_rad: float = Field(0.0, ge=-10, le=10, description="its phase at the angle 0")
+    load_share: float = Field(
+        0.0, ge=0, le=0.9, description="friction of a gear that grows with its load, as a share of the motor's torque"
+    )
     share_1_K: float = Field(0.0, ge=-1, le=1, description="by which share it grows with each kelvin")
     drift_1_s: float = Field(0.0, ge=-1, le=1, description="by which share it grows each second")
 

@@ -6,7 +6,8 @@ While the handle slides,
 
 with the motor's torque :math:`\tau_m` according to the rig file, delayed by :math:`\delta`, the friction
 F (`recording.friction.friction_fit`), and the hand's torque f from the transducer. Cogging, ripple and uneven
-friction are added where significant (`recording.friction.angle_waves`). k is the ratio of the true to the
+friction are added where significant (`recording.friction.angle_waves`), and so is a gear's friction that grows with
+the motor's torque: the hand is the load. k is the ratio of the true to the
 assumed torque. Its interval is that of clusters (`recording.friction.regression`), combined with the
 transducer's scale. The interval of the torque constant also includes the ratio's.
 
@@ -49,14 +50,14 @@ from coulombus.host.commission.step import (
 )
 from coulombus.recording.friction.angle_waves import ALL_KINDS, find_waves, wave_columns
 from coulombus.recording.friction.equations import equations
-from coulombus.recording.friction.friction_fit import fit_friction
+from coulombus.recording.friction.friction_fit import MOTOR, fit_friction, load_column
 from coulombus.recording.friction.identify import torque_delay
 from coulombus.recording.friction.regression import Column, widened
 from coulombus.recording.friction.sliding import IdentifyError, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Motor"]
+__all__ = ["LOAD_SHARE", "Motor"]
 
 LEAST_SHARE = 0.3
 MOST_REACH = 0.03
@@ -64,6 +65,7 @@ MOST_REACH = 0.03
 friction does.
 """
 SIGN = "SIGN_ENCODER"
+LOAD_SHARE = "friction that grows with the motor's torque, as a share of it"
 STILL_S, SPEED_RAD_S, MOVE_S, DWELL_S = 4.0, 0.2, 2.3, 0.2
 """The hand waits for the sign check, then moves.
 
@@ -114,12 +116,13 @@ class Motor(Step):
             slides = sliding(runs[0].recording, WINDOW_S, REVERSAL_S, reversal_rad(axis))
             rows = equations(slides.slides, slides.period_s, slides.count_rad, WINDOW_S)
             waves = find_waves(slides, mechanics.ratio, ALL_KINDS, None)
-            columns: dict[str, Column] = {"motor": (-rows.motor_Nm, 0.0)} | torque_delay(rows, slides)
-            columns |= wave_columns(waves, rows, slides.slides)
+            columns: dict[str, Column] = torque_delay(rows, slides) | wave_columns(waves, rows, slides.slides)
+            columns |= load_column(rows, slides.slides, columns)
+            columns[MOTOR] = -rows.motor_Nm, 0.0
             fit = fit_friction(rows, rows.hand_Nm, None, columns)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error
-        gain = widened(fit.others["motor"], given.share(SCALE))
+        gain = widened(fit.others[MOTOR], given.share(SCALE))
         k, reach = gain.value, gain.reach
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
@@ -131,7 +134,7 @@ class Motor(Step):
         at_handle = rated * mechanics.ratio
         basis = f"{len(rows.v)} windows, the hand's torque against the motor's; ratio {mechanics.ratio:g}"
         changed = abs(new - rated) > rated_reach
-        findings = (
+        findings: tuple[Finding, ...] = (
             Finding(
                 "mechanics.motor_polarity",
                 "motor's sign",
@@ -149,8 +152,11 @@ class Motor(Step):
                 changed,
             ),
         )
+        if fit.load_share is not None:
+            share, reach = fit.load_share.value / k, fit.load_share.reach / k
+            findings += (Finding("", LOAD_SHARE, 0.0, rounded(share, reach), "", reach, basis),)
         rest = rows.hand_Nm - fit.friction_Nm(rows.v) - fit.inertia_and_offset_Nm(rows.a)
-        rest -= sum(fit.others[name].value * values for name, (values, _) in columns.items() if name != "motor")
+        rest -= sum(fit.others[name].value * values for name, (values, _) in columns.items() if name != MOTOR)
         ends = [float(np.min(rows.motor_Nm)), float(np.max(rows.motor_Nm))]
         curve = Curve(
             "Hand against motor",

@@ -82,6 +82,7 @@ def detail_of(p: Plant, hand_inertia: float) -> DetailRecord:
         d["slip_rate"] = f.C_Nm_s if f.law == "gms" else 0.0
         d["sigma_0"], d["sigma_1"] = f.sigma_0_Nm_rad, f.sigma_1_Nms_rad
         d["angle_share"], d["angle_rad"], d["angle_phase"] = f.angle_share, f.angle_periods, f.angle_phase_rad
+        d["load_share"] = f.load_share
         d["friction_K"], d["friction_s"] = f.share_1_K, f.drift_1_s
         d["exponent"] = f.stribeck_exponent
     if p.ripple is not None:

@@ -7,9 +7,10 @@ Its level at the speed :math:`v`, the angle :math:`q` of its body, the device's 
 
 .. math::
 
-    g = (F_c + \Delta F\,e^{-|v/v_S|^\delta})\,(1 + a \sin(n q + \varphi))\,(1 + c\,(T - T_0))\,(1 + r t),
+    g = (F_c + \mu |\tau_m| + \Delta F\,e^{-|v/v_S|^\delta})\,(1 + a \sin(n q + \varphi))\,(1 + c\,(T - T_0))\,(1 + r t),
 
-never below 0, at the begin of a step. As dry friction it is the level of a set-valued element.
+never below 0, at the begin of a step. :math:`\mu |\tau_m|` is the friction of a gear that carries the
+motor's torque. As dry friction it is the level of a set-valued element.
 Bristles (LuGre) instead have the deflection :math:`z` and give
 
 .. math:: F = \sigma_0 z + \sigma_1 \dot z, \qquad \dot z = v - \alpha z, \quad \alpha = \sigma_0 |v| / g,
@@ -62,7 +63,7 @@ def set_levels(p: PlantRecord, capacity: float) -> None:
         speed = abs(d.v[i])
         own = level = 0.0
         if d.share[i] > 0.0:
-            own = p.coulomb
+            at_speed = own = p.coulomb + d.load_share * abs(p.f_motor)
             if p.stribeck > 0.0 and speed == 0.0:
                 own += p.stribeck
             elif p.stribeck > 0.0:
@@ -79,7 +80,7 @@ def set_levels(p: PlantRecord, capacity: float) -> None:
         d.dry[i] = capacity if i == d.drum else 0.0
         if d.bristles == ELEMENTS:
             if d.share[i] > 0.0:
-                at_rest = own * (p.coulomb + p.stribeck) / level
+                at_rest = own * (at_speed + p.stribeck) / level
                 set_elements(d, i, max(own, LEAST_Nm), max(at_rest, LEAST_Nm))
             own = 0.0
         elif d.bristles != DRY:

@@ -77,6 +77,7 @@ class DetailRecord(Record):
     angle_share: float
     angle_rad: float  # periods in one revolution of the handle
     angle_phase: float
+    load_share: float  # of the motor's torque
     friction_K: float  # share per kelvin
     friction_s: float  # share per second
     exponent: float

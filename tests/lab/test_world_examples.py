@@ -60,6 +60,14 @@ def test_a_brake_makes_a_wall_many_times_as_stiff_as_a_motor_can():
     assert (none, trip) == (0.0, None)
 
 
+def test_a_motor_alone_displays_no_wall_in_full_that_a_brake_does():
+    example = runpy.run_path(str(FOLDER / "z_width.py"))
+    assert [example["in_full"](mode, 3000.0, 0.0) for mode in ("active", "hybrid")] == [False, True]
+    assert [example["stable"](K, 0.0) for K in (40.0, 45.0)] == [True, False]
+    assert example["most"](lambda value: value < 3, (1, 2, 3, 4)) == 2
+    assert example["most"](lambda value: False, (1, 2)) == 0.0
+
+
 def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():
     door = runpy.run_path(str(FOLDER / "door_mujoco.py"))
     model_of, stop, catch = door["model_of"], door["Stop"], door["Catch"]

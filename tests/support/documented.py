@@ -34,7 +34,10 @@ RULES = (
         "ends with 1, as they differ; the site runs it: tests/project/test_site_gallery.py",
     ),
     (r"docs/gallery\.md: coulombus identify", "needs strokes, 13 s of a recording; the site runs it"),
-    (r": python examples/worlds/(stability_map|stiffness)", "forty runs: tests/lab/test_world_examples.py makes some"),
+    (
+        r": python examples/worlds/(stability_map|stiffness|z_width)",
+        "forty runs: tests/lab/test_world_examples.py makes some",
+    ),
     (r"docs/plane\.md: coulombus analyse plane", "run by tests/cli/test_plane_command.py"),
     (r": coulombus analyse laws", "run by tests/analysis/theory/test_law_benchmarks.py"),
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/cli/test_export_docs.py"),

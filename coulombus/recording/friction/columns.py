@@ -33,13 +33,17 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "angle": ("angle", "x", "position", "pos", "theta", "phi", "q"),
     "torque": ("torque", "tau", "moment", "friction"),
     "brake": ("brake", "current", "setpoint"),
+    "load": ("load",),
 }
-"""Accepted column names by quantity; `brake` is optional."""
+"""Accepted column names by quantity."""
+OPTIONAL = ("brake", "load")
+_TORQUES = {"Nm": 1.0, "N m": 1.0, "N*m": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3}
 UNITS: Mapping[str, Mapping[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi, "turn": 2 * math.pi},
-    "torque": {"Nm": 1.0, "N m": 1.0, "N*m": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
+    "torque": _TORQUES,
     "brake": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "V": 1.0},
+    "load": _TORQUES,
 }
 LEAST_ROWS = 100
 
@@ -52,12 +56,13 @@ class TableError(CoulombusError, ValueError):
 
 @dataclass(frozen=True)
 class TorqueTable:
-    """A recording as three or four columns.
+    """A recording as three to five columns.
 
     Attributes
     ----------
     t_s, angle_rad, torque_Nm : of each row
     brake : the brake's command, in any unit, or None
+    load_Nm : torque of a load that drives the angle, too, or None
     """
 
     path: str
@@ -65,6 +70,7 @@ class TorqueTable:
     angle_rad: Floats
     torque_Nm: Floats
     brake: Floats | None = None
+    load_Nm: Floats | None = None
 
 
 def is_table(path: Path) -> bool:
@@ -99,7 +105,7 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] = (), units:
     values: dict[str, Floats] = {}
     for what in NAMES:
         name = chosen.get(what) or next((name for name in raw if _split(name)[0].lower() in NAMES[what]), None)
-        if name is None and what == "brake":
+        if name is None and what in OPTIONAL:
             continue
         if name is None or name not in raw:
             has = ", ".join(raw) or "nothing"
@@ -124,7 +130,9 @@ def _checked(path: Path, values: dict[str, Floats]) -> TorqueTable:
     if not np.all(np.diff(values["t"]) > 0.0):
         row = int(np.argmax(np.diff(values["t"]) <= 0.0)) + 2
         raise TableError(f"{path}: the time does not grow at row {row}; sort the rows by time")
-    return TorqueTable(str(path), values["t"], values["angle"], values["torque"], values.get("brake"))
+    return TorqueTable(
+        str(path), values["t"], values["angle"], values["torque"], values.get("brake"), values.get("load")
+    )
 
 
 def _pairs(path: Path, option: str, texts: Sequence[str]) -> dict[str, str]:

@@ -12,7 +12,7 @@ chance, so it stays only if it clearly lowers Schwarz's criterion *and* its inte
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -33,12 +33,18 @@ from coulombus.recording.friction.regression import (
     solve,
     standard_errors,
 )
-from coulombus.recording.friction.sliding import IdentifyError
+from coulombus.recording.friction.sliding import IdentifyError, Slide
 
-__all__ = ["Fit", "fit_friction"]
+__all__ = ["MOTOR", "Fit", "fit_friction", "load_column"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
+LOAD, MOTOR = "load", "motor"
+"""Names of the columns of the load's friction, and of the motor's torque."""
+LOAD_LEVEL = 3.0
+"""Least share of the load, in reaches of its interval."""
+LEAST_GAIN, LEAST_LOAD = 0.5, 0.01
+"""Least share of the motor's torque that the hand must bear, and of the load that motion and torque do not tell."""
 STRIBECK_LEVEL = 0.999
 """Confidence level for Stribeck's term: the best of 24 speeds passes it by chance in about 1 % of recordings."""
 STRIBECK_GAIN = 10.0
@@ -66,6 +72,11 @@ class Fit:
     others: Mapping[str, Estimate] = field(default_factory=dict)
     """The coefficients of further columns."""
 
+    @property
+    def load_share(self) -> Estimate | None:
+        """Friction that grows with the load, as a share of it."""
+        return self.others.get(LOAD)
+
     def friction_Nm(self, v: Floats) -> Floats:
         """Return the fitted friction [Nm] at the speeds `v`, without inertia and offset."""
         level = np.full_like(v, self.coulomb_Nm.value)
@@ -88,7 +99,7 @@ class Fit:
     def as_dict(self) -> dict[str, Any]:
         """Return value and interval of each parameter."""
         values: dict[str, Any] = {}
-        for name in ("coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm", "stribeck_Nm"):
+        for name in ("coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm", "stribeck_Nm", "load_share"):
             estimate = getattr(self, name)
             values[name] = None if estimate is None else estimate.value
             values[f"{name}_ci95"] = None if estimate is None else [estimate.low, estimate.high]
@@ -135,6 +146,34 @@ def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> 
     if criterion(rss(refined), X.shape[1] + 2) >= without - STRIBECK_GAIN:
         return None
     return _Stribeck(refined, _shape(equations, refined))
+
+
+def load_column(
+    equations: Equations, slides: Sequence[Slide], others: Mapping[str, Column] | None = None
+) -> dict[str, Column]:
+    r"""Return the column of a friction that grows with the load, :math:`|\tau_m|\,\mathrm{sgn}(v)`; empty without one.
+
+    A motor that moves a free handle gives what the friction takes, so that any share of the load explains
+    it. Therefore the load counts only if it is significant where the motor's torque has a coefficient of its own,
+    and the hand bears it.
+
+    Parameters
+    ----------
+    others : the further columns of the fit
+    """
+    motor_Nm = [slide.motor_Nm for slide in slides if len(slide.t_s) >= len(equations.weight)]
+    load = np.sign(equations.v) * equations.smooth([np.abs(torque) for torque in motor_Nm])
+    known = [np.sign(equations.v), equations.v, equations.a, np.ones_like(load), equations.motor_Nm]
+    known += [values for values, _ in (others or {}).values()]
+    matrix = np.column_stack(known)
+    solution, *_ = np.linalg.lstsq(matrix, load, rcond=None)
+    if float(np.std(load - matrix @ solution)) <= LEAST_LOAD * float(np.sqrt(np.mean(load**2))):
+        return {}
+    column: dict[str, Column] = {LOAD: (load, 0.0)}
+    columns = {**(others or {}), MOTOR: (-equations.motor_Nm, 0.0), **column}
+    fit = fit_friction(equations, equations.hand_Nm, None, columns)
+    share, gain = fit.others[LOAD], fit.others[MOTOR]
+    return column if share.value > LOAD_LEVEL * share.reach and gain.low > LEAST_GAIN else {}
 
 
 def fit_friction(

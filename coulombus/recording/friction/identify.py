@@ -8,6 +8,9 @@ This is the friction that the hand *feels*: the device's own, minus the motor's 
 the display. With the motor's torque (6077h) added on the left it is the *device's* friction,
 compensated or not. Both are fitted.
 
+A gear's friction grows with the torque that it carries: the device's fit has :math:`\mu\,|\tau_m|\,\mathrm{sgn}(v)`
+where the hand bears the motor's torque and :math:`\mu` is significant.
+
 Significant cogging adds :math:`A\,\sin(\kappa x + \varphi)` (`recording.friction.angle_waves`). The
 drive's measured torque may be late by :math:`\delta`: the device's fit includes
 :math:`\delta\,\dot\tau_m`, so that the delay is not mistaken for inertia.
@@ -31,7 +34,7 @@ import numpy.typing as npt
 
 from coulombus.recording.friction.angle_waves import AngleWave, Kind, find_waves, wave_columns
 from coulombus.recording.friction.equations import Equations, equations
-from coulombus.recording.friction.friction_fit import Fit, fit_friction
+from coulombus.recording.friction.friction_fit import Fit, fit_friction, load_column
 from coulombus.recording.friction.regression import Column, Levels
 from coulombus.recording.friction.sliding import REVERSAL_S, WINDOW_S, IdentifyError, Sliding, sliding
 from coulombus.recording.reading import blocks
@@ -41,6 +44,8 @@ __all__ = ["Identification", "IdentifyError", "identified", "identify", "lines",
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
+MISFIT, MISFIT_SHARE = 3.0, 0.02
+"""From this multiple of the noise on, and this share of the Coulomb friction, a residual is not the noise's."""
 LEAST_RATE_NM_S = 1e-3
 """Least mean rate of torque from which a delay can be fitted."""
 
@@ -132,12 +137,19 @@ def identified(
 
     def fitted(waves: Sequence[AngleWave]) -> Fit:
         columns = wave_columns(waves, rows, slides.slides) | delay
+        columns |= load_column(rows, slides.slides, columns)
         return fit_friction(rows, rows.hand_Nm + rows.motor_Nm, None, columns, levels)
 
     device = fitted(candidates)
     significant = tuple(wave for wave in candidates if wave.kind != "cogging" or wave.stands_out(device.others))
     if significant != candidates:
         device = fitted(significant)
+    noise_Nm = _row_noise_Nm(rows, slides)
+    if device.residual_rms_Nm > max(MISFIT * noise_Nm, MISFIT_SHARE * device.coulomb_Nm.value):
+        notes.append(
+            f"the fit leaves {device.residual_rms_Nm:.2g} Nm, the transducer's noise would leave {noise_Nm:.2g} Nm: the device "
+            "has a torque that is not in it (by angle, load or temperature), so the intervals do not hold"
+        )
     waves = wave_columns(significant, rows, slides.slides)
     felt = fit_friction(rows, rows.hand_Nm, notes, waves)
     return Identification(
@@ -154,6 +166,12 @@ def identified(
     )
 
 
+def _row_noise_Nm(rows: Equations, slides: Sliding) -> float:
+    """Return the noise of an equation's torque, from the third differences of the hand's torque."""
+    thirds = np.concatenate([np.diff(slide.hand_Nm, 3) for slide in slides.slides])
+    return float(np.sqrt(np.mean(thirds**2) / 20.0) * np.linalg.norm(rows.weight))
+
+
 def torque_delay(rows: Equations, slides: Sliding) -> dict[str, Column]:
     """Return the column for a delay of the motor's measured torque; empty if the torque never changes."""
     rate = rows.rate([slide.motor_Nm for slide in slides.slides if len(slide.t_s) >= len(rows.weight)])
@@ -167,6 +185,7 @@ def lines(identification: Identification) -> list[str]:
         ("Coulomb", "coulomb_Nm", "Nm"),
         ("viscous", "viscous_Nms_rad", "Nm s/rad"),
         ("Stribeck, F_s - c", "stribeck_Nm", "Nm"),
+        ("share of the load", "load_share", ""),
         ("inertia", "inertia_kg_m2", "kg m2"),
         ("transducer's bias", "offset_Nm", "Nm"),
     )

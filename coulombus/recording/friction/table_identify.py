@@ -4,19 +4,22 @@ Rows become slides as in a recording (`recording.friction.sliding`). The table s
 file's values: the period is the median difference of the times; the encoder's count is the smallest
 step of the angle if all steps are whole multiples of it. Unevenly spaced rows are interpolated.
 
+A column `load` is the torque of a load that drives the angle, too: a friction that grows with it is fitted.
+
 The breakaway torque is the largest before each slide from rest; its interval is Student's over the slides.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from coulombus.recording.friction.columns import TorqueTable
+from coulombus.recording.friction.equations import equations
 from coulombus.recording.friction.identify import Identification, identified
 from coulombus.recording.friction.regression import CONFIDENCE, Estimate
 from coulombus.recording.friction.sliding import (
@@ -48,7 +51,7 @@ LEAST_SIZE = 5
 
 @dataclass(frozen=True)
 class TableIdentification:
-    """Friction from a table: the measured torque only, without a motor's."""
+    """Friction from a table: of its torque and its load together."""
 
     identification: Identification
     breakaway_Nm: Estimate | None
@@ -78,6 +81,10 @@ def identify_table(table: TorqueTable, ratio: float | None = None) -> TableIdent
         identification = identified(slides, table.path, window_s, ratio)
     except IdentifyError as error:
         raise IdentifyError(f"{table.path}: {error}") from error
+    if table.load_Nm is not None:
+        device, rows = identification.device, equations(slides.slides, slides.period_s, slides.count_rad, window_s)
+        bare_Nm = rows.hand_Nm + rows.motor_Nm - device.inertia_and_offset_Nm(rows.a)
+        identification = replace(identification, felt=device, felt_Nm=bare_Nm)
     return TableIdentification(identification, _mean(lets))
 
 
@@ -97,11 +104,12 @@ def _even(table: TorqueTable) -> tuple[float, TorqueTable, tuple[str, ...]]:
     if len(t) == len(table.t_s) and np.max(np.abs(t - table.t_s)) < EVEN * period:
         return period, table, ()
     angle, torque = (np.interp(t, table.t_s, column) for column in (table.angle_rad, table.torque_Nm))
+    load = None if table.load_Nm is None else np.interp(t, table.t_s, table.load_Nm)
     brake = table.brake
     if brake is not None:
         brake = brake[np.clip(np.searchsorted(table.t_s, t, side="right") - 1, 0, len(brake) - 1)]
     note = f"the rows come unevenly: they are interpolated to one each {1e3 * period:.4g} ms"
-    return period, TorqueTable(table.path, t, angle, torque, brake), (note,)
+    return period, TorqueTable(table.path, t, angle, torque, brake, load), (note,)
 
 
 def _count(angle: Floats) -> float:
@@ -141,8 +149,9 @@ def _slides(table: TorqueTable) -> tuple[Sliding, float, list[float]]:
     typical = float(np.percentile(lengths, 75))
     window_s = min(max(LEAST_SIZE * period, min(WINDOW_S, typical / 4)), typical)
     margin = round(min(REVERSAL_S, typical / 10) / period)
+    load = np.zeros(len(x)) if table.load_Nm is None else table.load_Nm
     slides = tuple(
-        Slide(table.t_s[a:b], x[a:b], table.torque_Nm[a:b], np.zeros(b - a))
+        Slide(table.t_s[a:b], x[a:b], table.torque_Nm[a:b], load[a:b])
         for a, b in ((a + margin, b) for a, b in spans)
         if b - a >= window_s / period
     )
@@ -168,6 +177,7 @@ def table_lines(fitted: TableIdentification) -> list[str]:
         ("Coulomb", fit.coulomb_Nm, "Nm"),
         ("viscous", fit.viscous_Nms_rad, "Nm s/rad"),
         ("Stribeck, F_s - c", fit.stribeck_Nm, "Nm"),
+        ("share of the load", fit.load_share, ""),
         ("inertia", fit.inertia_kg_m2, "kg m2"),
         ("torque's bias", fit.offset_Nm, "Nm"),
         ("break-away", fitted.breakaway_Nm, "Nm"),

@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from benchmarks.coverage import MEASURED, commissioned, random_rig, scores, table
+from coulombus.host.commission.motor import LOAD_SHARE
 
 pytestmark = pytest.mark.slow
 
@@ -44,6 +47,18 @@ def test_all_eight_steps_pass(results):
 def test_a_motor_that_cogs_is_measured_right(results, key, share):
     for rig, findings, _ in results:
         assert values(findings)[key].new == pytest.approx(rig.figures[key], rel=share), rig.seed
+
+
+def test_friction_that_grows_with_the_motors_torque_is_measured_apart(tmp_path):
+    """Its share is of the true torque, though the rig file believes another one."""
+    rig = random_rig(1010)
+    rig = replace(rig, truth=(*rig.truth, "plant.friction.load_share=0.12"))
+    findings, failures = commissioned(rig, tmp_path, ("zero", "weight", "encoder", "motor"))
+    assert failures == []
+    by_name = values(findings)
+    rated, share = by_name["motor.rated_torque_Nm"], by_name[LOAD_SHARE]
+    assert abs(rated.new - rig.figures["motor.rated_torque_Nm"]) < 1.5 * rated.uncertainty < 0.01 * rated.new
+    assert abs(share.new - 0.12) < 1.5 * share.uncertainty < 0.01
 
 
 def test_signs_are_found(results):

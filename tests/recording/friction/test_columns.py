@@ -106,6 +106,26 @@ def test_cogging_of_a_table_is_found_with_the_ratio():
     assert result.felt.coulomb_Nm.value == pytest.approx(C, rel=0.01)
 
 
+def test_a_column_of_the_load_tells_the_friction_that_grows_with_it(tmp_path):
+    table = recorded(strokes())
+    load_Nm = 0.8 * np.sin(2.0 * table.angle_rad)
+    torque_Nm = table.torque_Nm - load_Nm + 0.1 * np.abs(load_Nm) * np.sign(np.gradient(table.angle_rad))
+    rows = zip(table.t_s, table.angle_rad, torque_Nm, 1e3 * load_Nm, strict=True)
+    path = tmp_path / "geared.csv"
+    path.write_text(
+        "t_s,angle_rad,torque_Nm,load_mNm\n" + "\n".join(",".join(map(repr, map(float, row))) for row in rows)
+    )
+    result = CliRunner().invoke(main, ["identify", str(path), "--json"])
+    assert result.exit_code == 0, result.output
+    fit = json.loads(result.stdout)
+    low, high = fit["load_share_ci95"]
+    assert low < 0.1 < high
+    assert high - low < 0.01
+    assert fit["coulomb_Nm"] == pytest.approx(C, rel=0.02)
+    assert fit["viscous_Nms_rad"] == pytest.approx(B, rel=0.1)
+    assert "share of the load" in CliRunner().invoke(main, ["identify", str(path)]).stdout
+
+
 def test_a_handle_that_never_moves_is_refused():
     with pytest.raises(IdentifyError, match="never moves"):
         identify_table(TorqueTable("table", np.arange(500) * T, np.zeros(500), np.zeros(500)))

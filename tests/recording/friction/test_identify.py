@@ -14,8 +14,8 @@ from coulombus.cli.main import main
 from coulombus.eds.cia402 import PowerState
 from coulombus.recording.friction.equations import equations, weights
 from coulombus.recording.friction.friction_fit import fit_friction
-from coulombus.recording.friction.identify import identify, lines
-from coulombus.recording.friction.sliding import IdentifyError, Slide, sliding
+from coulombus.recording.friction.identify import identified, identify, lines
+from coulombus.recording.friction.sliding import WINDOW_S, IdentifyError, Slide, Sliding, sliding
 from coulombus.recording.signals import Series, Source
 from coulombus.rigs.rig import load_rig
 
@@ -115,6 +115,60 @@ def test_torque_speed_and_acceleration_are_filtered_alike():
         x = np.sin(omega * t + 0.3)
         assert second @ x == pytest.approx(torque @ (-(omega**2) * x), rel=1e-5)
         assert first @ x == pytest.approx(torque @ (omega * np.cos(omega * t + 0.3)), rel=5e-3)
+
+
+def loaded(rng, truth, share):
+    """Return slides in which the motor's torque follows the angle, as a spring's, and the hand bears it."""
+    slides = []
+    for slide in strokes(rng, truth, 16):
+        motor_Nm = 1.2 * np.sin(2.0 * slide.x_rad + 0.3)
+        friction_Nm = np.sign(np.gradient(slide.x_rad).mean()) * share * np.abs(motor_Nm)
+        slides.append(dataclasses.replace(slide, hand_Nm=slide.hand_Nm + friction_Nm - motor_Nm, motor_Nm=motor_Nm))
+    return tuple(slides)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_friction_that_grows_with_the_load_is_told_from_coulomb_and_viscous(share):
+    held = {"c": 0, "b": 0, "share": 0}
+    for seed in range(20):
+        rng = np.random.default_rng([8, seed])
+        truth = random_truth(rng)
+        slides = loaded(rng, truth, share)
+        fit = identified(Sliding(slides, PERIOD, COUNT, True, {}, ()), "", WINDOW_S, None).device
+        truth |= {"share": share}
+        for name, estimate in (("c", fit.coulomb_Nm), ("b", fit.viscous_Nms_rad), ("share", fit.load_share)):
+            held[name] += estimate.low <= truth[name] <= estimate.high
+    assert min(held.values()) >= 17, held
+
+
+def test_without_such_friction_no_share_of_the_load_is_told():
+    for seed in range(20):
+        rng = np.random.default_rng([9, seed])
+        slides = loaded(rng, random_truth(rng), 0.0)
+        identification = identified(Sliding(slides, PERIOD, COUNT, True, {}, ()), "", WINDOW_S, None)
+        assert identification.device.load_share is None
+        assert identification.device.as_dict()["load_share"] is None
+        assert not any("the fit leaves" in remark for remark in identification.remarks)
+
+
+def test_a_motor_that_moves_a_free_handle_tells_no_load():
+    """Its torque is the friction, so any share of it explains the motion."""
+    rng = np.random.default_rng(2)
+    slides = tuple(
+        dataclasses.replace(s, motor_Nm=s.hand_Nm, hand_Nm=np.round(rng.normal(0, 1e-3, len(s.t_s)), 3))
+        for s in strokes(rng, random_truth(rng))
+    )
+    assert identified(Sliding(slides, PERIOD, COUNT, True, {}, ()), "", WINDOW_S, None).device.load_share is None
+
+
+def test_a_torque_that_is_not_in_the_fit_is_told():
+    rng = np.random.default_rng(4)
+    slides = tuple(
+        dataclasses.replace(s, hand_Nm=s.hand_Nm * (1.0 + 0.3 * np.sin(3.0 * s.x_rad)))
+        for s in strokes(rng, random_truth(rng))
+    )
+    remarks = identified(Sliding(slides, PERIOD, COUNT, True, {}, ()), "", WINDOW_S, None).remarks
+    assert any("the device has a torque that is not in it" in remark for remark in remarks)
 
 
 def test_what_the_data_do_not_carry_is_told():

@@ -226,6 +226,7 @@ def test_bristles_converge_with_the_first_order_at_least():
 def test_of_random_rigs_the_energy_balances_and_nothing_passive_gives_any(seed, law, extra):
     rng = np.random.default_rng(seed)
     friction = {"law": law, "angle_share": rng.uniform(0, 0.9), "angle_periods": int(rng.integers(1, 40))}
+    friction |= {"load_share": rng.uniform(0, 0.5)}
     if law == "lugre":
         friction |= {"sigma_0_Nm_rad": rng.uniform(10, 1e5), "sigma_1_Nms_rad": rng.uniform(0, 5)}
     elif law != "coulomb":
@@ -252,6 +253,17 @@ def test_of_random_rigs_the_energy_balances_and_nothing_passive_gives_any(seed, 
         assert np.all(np.diff(truth[f"{name}_work_J"]) <= 1e-15)
     assert np.all(np.diff(truth["viscous_loss_J"]) >= 0.0)
     assert plant["detail"]["missed_events"] == 0
+
+
+@pytest.mark.parametrize("motor_pm", [-400.0, 0.0, 700.0])
+def test_friction_of_a_gear_grows_with_the_torque_of_the_motor_either_way(motor_pm):
+    settings_ = ("plant.motor_lag_s=0.0", "plant.coulomb_Nm=0.1", "plant.brake_off_state_Nm=0.0")
+    for v0 in (6.0, -6.0):
+        _, truth = run((*settings_, *keys(friction={"load_share": 0.15})), 0.003, v0=v0, motor_pm=motor_pm)
+        load_Nm = np.abs(truth["motor_Nm"])
+        assert load_Nm[1:] == pytest.approx(load_Nm[-1])
+        assert (load_Nm[-1] > 0.5) == (motor_pm != 0.0)
+        assert -math.copysign(1.0, v0) * truth["friction_Nm"][1:] == pytest.approx(0.1 + 0.15 * load_Nm[-1])
 
 
 @pytest.mark.parametrize("seed", range(6))
