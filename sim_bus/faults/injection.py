@@ -22,7 +22,7 @@ from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import AnyFault, Drift, NodeFault, OtherNodeId
 from coulombus.sim_bus.faults.rows import Injected, begin_enabled, install, result_of
-from coulombus.sim_bus.network.device_faults import device_faults_of, inject, renumber
+from coulombus.sim_bus.network.device_faults import OF_MECHANICS, device_faults_of, inject, renumber
 from coulombus.sim_bus.network.network import TAP
 from coulombus.wire.clock import set_clock
 
@@ -171,7 +171,8 @@ class Injection:
             row = stations_of(self._world)[1].get(_id_of(self._world, fault.node), -1)
             possible = device_faults_of(self._world, row) if row >= 0 else (fault.kind,)
             if fault.kind not in possible:
-                raise FaultError(f"{where} cannot have the fault {fault.kind}; it has {', '.join(possible)}")
+                why = ": it has no mechanics" if fault.kind in OF_MECHANICS else ""
+                raise FaultError(f"{where} cannot have the fault {fault.kind}{why}; it has {', '.join(possible)}")
         elif fault.kind != "other_node_id" and (int(self._bus.bit_rate) == 0 or self._bus.cut == SEVERAL):
             raise FaultError(f"{fault.kind} is a fault of the wire, and the bits of this bus are not simulated here")
 

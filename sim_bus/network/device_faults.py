@@ -16,7 +16,7 @@ from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT
 from coulombus.sim_bus.rig.records import PlantRecord
 from coulombus.wire.clock import own_ns
 
-__all__ = ["EFFECTS", "FAULTS", "OF_EVERY_NODE", "block", "device_faults_of", "inject", "renumber"]
+__all__ = ["EFFECTS", "FAULTS", "OF_EVERY_NODE", "OF_MECHANICS", "block", "device_faults_of", "inject", "renumber"]
 
 FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -26,6 +26,7 @@ FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Faults that a device reports, by its name in a rig."""
 OF_MECHANICS = ("coil_open", "coil_short", "blocked")
+"""Faults of what a device drives."""
 OF_EVERY_NODE = ("power_off", "heartbeat_off", "pdo_length")
 """Faults that every node can have."""
 EFFECTS: Mapping[str, str] = MappingProxyType(

@@ -180,10 +180,10 @@ class BusFaults:
         """
         answers = self._answers()
         order = {"fault": fault, "on": where, "for_s": for_s, "values": dict(values or {})}
-        owners = [path for path, answer in answers.items() if where in map(str, _names(answer))]
+        owners = [path for path, answer in answers.items() if where in _names(answer)]
         serving = [path for path, answer in answers.items() if answer["serves"]]
         if where != BUS and not owners:
-            known = ", ".join(str(name) for answer in answers.values() for name in _names(answer))
+            known = ", ".join(name for answer in answers.values() for name in _names(answer))
             raise NodeUnknown(f"there is no node '{where}' on bus {self.address}; it has {known or 'none'}")
         path = (serving if where == BUS else owners)[0]
         text: str = _ask(path, self.address, {"inject": order})["done"][0]
@@ -199,7 +199,7 @@ class BusFaults:
                 texts += _ask(path, self.address, {"clear": {"fault": fault, "on": where}})["done"]
             except NodeUnknown as error:
                 unknown = error
-        if unknown is not None and not any(where in map(str, _names(answer)) for answer in answers.values()):
+        if unknown is not None and not any(where in _names(answer) for answer in answers.values()):
             raise unknown
         return texts
 
@@ -219,9 +219,9 @@ class BusFaults:
         return answers
 
 
-def _names(answer: Mapping[str, Any]) -> list[str | int]:
+def _names(answer: Mapping[str, Any]) -> list[str]:
     """Return the names and node ids of a process' nodes."""
-    return list(dict.fromkeys(key for node in answer["nodes"] for key in (node["name"], node["node_id"])))
+    return list(dict.fromkeys(str(node[key]) for node in answer["nodes"] for key in ("name", "node_id")))
 
 
 def _bus_of(name: str) -> str:

@@ -135,7 +135,7 @@ def test_an_axis_is_blocked_and_released():
     [
         ("heartbeat", "5", {}, FaultRefused, "did you mean 'heartbeat_off'"),
         ("noise", "6", {}, NodeUnknown, "no node '6'.*it has 5"),
-        ("blocked", "5", {}, FaultRefused, "cannot have the fault blocked; it has over_current"),
+        ("blocked", "5", {}, FaultRefused, "cannot have the fault blocked: it has no mechanics; it has over_current"),
         ("power_off", "bus", {}, FaultRefused, "expected --on NODE"),
         ("stuck_dominant", "5", {}, FaultRefused, "expected --on bus"),
         ("noise", "bus", {"rate": "-1"}, FaultRefused, "noise: rate: expected a number above 0, not -1"),
