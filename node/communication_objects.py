@@ -32,6 +32,7 @@ class Communication:
         self._dictionary = dictionary
         self._node = node
         self.pdos = Pdos(dictionary, node, profile)
+        self._no_heartbeat = False
         described = dictionary.description.objects  # looked up often, and an EDS has one or two servers
         self._servers = [(k, index) for k, index in enumerate(SDO_SERVERS) if k == 0 or index in described]
 
@@ -88,6 +89,12 @@ class Communication:
         if place is None or self.pdos.refresh(place[0], place[1], t_ns):
             self._route()
 
+    def stop_heartbeat(self, t_ns: int, stopped: bool) -> None:
+        """Send no heartbeat from now on, as a faulty device, whatever 1017h is; or send them again."""
+        if stopped != self._no_heartbeat:
+            self._no_heartbeat = stopped
+            self._refresh_heartbeat(0, t_ns)
+
     def refresh_all(self, t_ns: int) -> None:
         """Update the record from all communication objects (power-on, reset)."""
         for refresh in _REFRESHES.values():
@@ -133,7 +140,7 @@ class Communication:
         node["consumers_used"] = max((k + 1 for k, entry in enumerate(watched) if entry), default=0)
 
     def _refresh_heartbeat(self, subindex: int, t_ns: int) -> None:
-        period_ns = self._dictionary.number(0x1017) * 1_000_000
+        period_ns = 0 if self._no_heartbeat else self._dictionary.number(0x1017) * 1_000_000
         self._node["heartbeat_ns"] = period_ns
         self._node["heartbeat_next_ns"] = t_ns + period_ns if period_ns else FAR_FUTURE_NS
         self._refresh_guarding(0, t_ns)

@@ -50,6 +50,7 @@ class Pdos:
         self._node = node
         self._profile = profile
         self._changing = CHANGING | {row.index for row in profile.objects if row.changing}
+        self._missing_bytes = 0
         described = sorted(dictionary.description.objects)
         self._beyond = {
             direction: [index for index in described if first + MAX_PDOS <= index < first + 512]
@@ -217,6 +218,7 @@ class Pdos:
             node["rpdo_pending"] -= node["rpdo_waits"][k]
             node["rpdo_waits"][k] = 0
             return True
+        record["length"] = max(0, record["length"] - self._missing_bytes)
         mask = 0
         for entry, start in zip(layout.entries, layout.starts, strict=True):
             if layout.event_ns == 0 or entry.index not in self._changing:
@@ -228,6 +230,13 @@ class Pdos:
             node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
             node["tpdo_due"][k] = 1
         return True
+
+    def shorten(self, t_ns: int, missing_bytes: int) -> None:
+        """Send every TPDO so many bytes too short, as a faulty device, whatever its map is; 0: as mapped."""
+        if missing_bytes != self._missing_bytes:
+            self._missing_bytes = missing_bytes
+            for k in range(int(self._node["tpdo_used"])):
+                self.refresh("tpdo", k, t_ns)
 
     def _count(self, direction: Direction) -> None:
         """Count the valid PDOs of a direction."""

@@ -41,6 +41,8 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "nmt": "Start, stop or reset nodes (NMT)",
         "lss": "Give devices node ids and bit rates (CiA 305)",
         "node": "Serve any EDS file as a live device",
+        "inject": "Break a running simulated bus or device",
+        "clear": "Repair what inject has broken",
         "bridge": "Join two buses",
         "conformance": "Test a CANopen device against its EDS and CiA 301, 305, 402",
     },

@@ -18,6 +18,8 @@ CoulombusError
 +-- Ended                        n   lab.study.session
 +-- ExportError                  2   recording.export.errors
 +-- FaultError                   3   sim_bus.faults.fault_file    ValueError
++-- FaultRefused                 2   sim_bus.faults.live_faults
+|   +-- NodeUnknown              5   sim_bus.faults.live_faults
 +-- FeltError                    2   lab.study.felt_torque
 +-- HardwareError                3   node.hardware.channels
 |   +-- NoBuffer                 3   node.hardware.iio_buffer

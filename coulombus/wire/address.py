@@ -23,6 +23,7 @@ from coulombus.system.private_folder import make_private, reason_against
 from coulombus.system.quoting import INTERFACE
 
 __all__ = [
+    "FAULTS_SUFFIX",
     "HOST_SUFFIX",
     "LOOPBACK",
     "WITH_ADAPTERS",
@@ -49,7 +50,10 @@ WITH_ADAPTERS: tuple[Kind, ...] = ("can",)
 """What a verb takes besides, for which no latency counts."""
 _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
 HOST_SUFFIX = ".host"  # the control socket of the host on bus NAME is NAME.host
+FAULTS_SUFFIX = ".faults"  # the sockets of the processes with nodes on bus NAME, for faults
 WORLD_SUFFIX = ".world"  # the socket of the host on bus NAME for a world outside is NAME.world
+
+_SUFFIXES = (HOST_SUFFIX, WORLD_SUFFIX, FAULTS_SUFFIX)
 
 
 class AddressError(CoulombusError, ValueError):
@@ -131,7 +135,9 @@ def default_address(rig_name: str) -> BusAddress:
     cannot have.
     """
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.")
-    name = name.removesuffix(HOST_SUFFIX).removesuffix(WORLD_SUFFIX) or "bus"
+    for suffix in _SUFFIXES:
+        name = name.removesuffix(suffix)
+    name = name or "bus"
     return BusAddress("coulombus", name)
 
 
@@ -174,9 +180,9 @@ def parse_address(text: str, also: Collection[Kind] = ()) -> BusAddress:
             )
         return BusAddress("socketcan", name)
     _check_name(name)
-    for suffix in (HOST_SUFFIX, WORLD_SUFFIX):
+    for suffix in _SUFFIXES:
         if name.endswith(suffix):
-            raise AddressError(f"bus {text!r}: names that end in {suffix} are kept for the host's control socket")
+            raise AddressError(f"bus {text!r}: names that end in {suffix} are kept for control sockets")
     return BusAddress("coulombus", name)
 
 
@@ -261,7 +267,7 @@ def socket_names() -> list[str]:
 
 def bus_names() -> list[str]:
     """Return the names of the virtual buses that have a socket, including stale sockets of killed processes."""
-    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith((HOST_SUFFIX, WORLD_SUFFIX))]
+    return [name for name in socket_names() if _NAME.fullmatch(name) and not name.endswith(_SUFFIXES)]
 
 
 def live_bus_names() -> list[str]:

@@ -40,7 +40,7 @@ class FaultKind(IntEnum):
     DUPLICATE = 4
     RESET = 5
     CUT = 6
-    DRIFT = 7
+    DRIFT = 7  # and each other fault of a node, which Python performs
     BABBLE = 8
     STUCK_DOMINANT = 9
     NOISE = 10

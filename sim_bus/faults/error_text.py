@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -44,12 +44,15 @@ WRAPPERS = ("constrained-", "function-", "literal[")
 
 
 def mistakes(
-    path: str, document: Document, error: ValidationError, schema: type[BaseModel], faults: Sequence[type[BaseModel]]
+    path: str,
+    document: Document,
+    error: ValidationError,
+    schema: type[BaseModel],
+    by_kind: Mapping[str, type[BaseModel]],
 ) -> list[str]:
-    """Return a line for each key that pydantic rejects; `faults` are the models of `schema`'s faults, selected
+    """Return a line for each key that pydantic rejects; `by_kind` has the models of `schema`'s faults, selected
     by ``kind``.
     """
-    by_kind = {get_args(model.model_fields["kind"].annotation)[0]: model for model in faults}
     findings: dict[tuple[int, str], tuple[list[str], str]] = {}
     for finding in error.errors():
         names = tuple(
@@ -90,11 +93,11 @@ def mistakes(
     ]
 
 
-def _keys_beside(place: Key, schema: type[BaseModel], by_kind: dict[Any, type[BaseModel]]) -> list[str]:
+def _keys_beside(place: Key, schema: type[BaseModel], by_kind: Mapping[str, type[BaseModel]]) -> list[str]:
     """Return the valid keys of the table in which pydantic found an unknown key at `place`."""
     model: type[BaseModel] = schema
     for part in place[:-1]:
-        if part in by_kind and model is schema:
+        if isinstance(part, str) and part in by_kind and model is schema:
             model = by_kind[part]
         elif isinstance(part, str) and part in model.model_fields:
             inner = [

@@ -22,7 +22,8 @@ def injected_lines(
             when = f"once, at {fault['first_s']:.6f} s"
         else:
             when = f"{fault['times']} times, from {fault['first_s']:.6f} s to {fault['last_s']:.6f} s"
-        yield f"fault {fault['kind']} ({bus}line {fault['line']}): {when}"
+        place = "injected" if fault["line"] is None else f"line {fault['line']}"
+        yield f"fault {fault['kind']} ({bus}{place}): {when}"
     for name, c in (controllers or {}).items():
         counts = {
             "errors": sum(c["errors"].values()),

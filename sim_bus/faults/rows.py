@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from coulombus.rigs.toml_lines import Key
@@ -13,7 +13,8 @@ from coulombus.sim_bus.can_bus.records import STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
 from coulombus.sim_bus.can_bus.targets import ALL, CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
-from coulombus.sim_bus.faults.fault_file import (
+from coulombus.sim_bus.faults.fault_file import FaultPlan
+from coulombus.sim_bus.faults.fault_kinds import (
     BASES,
     BIT_NAMES,
     OF_NO_NODE,
@@ -22,19 +23,24 @@ from coulombus.sim_bus.faults.fault_file import (
     Cut,
     Delay,
     Drift,
-    FaultPlan,
     Flip,
     Lasting,
+    NodeFault,
     Noise,
     OnFrame,
+    OtherNodeId,
     Reset,
+    SecondMaster,
+    SlowSdo,
     Trigger,
 )
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, Records, data_word
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
-__all__ = ["Injected", "begin_enabled", "injections", "install"]
+__all__ = ["Injected", "begin_enabled", "install", "result_of"]
 
 HOST_ROW = 255
+_TABLED = {"slow_sdo": FaultKind.DELAY, "second_master": FaultKind.BABBLE}
+"""What the bus does for kinds that are no `FaultKind`; Python performs the others."""
 SOURCE_HOST = -1
 
 
@@ -43,7 +49,7 @@ class Injected:
     """Result of a fault of the file."""
 
     kind: str
-    line: int
+    line: int | None  # None: it was injected while the bus ran
     times: int
     first_s: float | None
     last_s: float | None
@@ -82,8 +88,7 @@ def _match(row: FaultRecord, on: Trigger, nodes: _Nodes, key: Key) -> None:
         if on.can_id > 0x7FF:
             flags |= CAN_EFF_FLAG
         row.match_id, row.match_mask = on.can_id | flags, 0xFFFFFFFF
-    else:
-        assert on.frame is not None
+    elif on.frame is not None:
         name = on.frame.upper()
         row.match_id, row.match_mask = BASES[name] | flags, 0xFFFFFFFF
         if name not in OF_NO_NODE:
@@ -137,8 +142,9 @@ def install(
     stations: Mapping[str, int],
     node_ids: Mapping[int, int],
     now_ns: int = 0,
+    into: Sequence[int] | None = None,
 ) -> list[tuple[int, int]]:
-    """Write the faults of a file to the bus's table.
+    """Write the faults of a file to the bus's table: its first rows, or those in `into`.
 
     Return (row, nanoseconds) of the faults that count from Operation Enabled.
 
@@ -156,11 +162,13 @@ def install(
     """
     nodes = _Nodes(plan, stations, node_ids)
     _refuse_twice(plan, nodes)
-    bus.noise.state = seeded(plan.file.seed if plan.file.seed is not None else seed)
+    places = range(len(plan.file.fault)) if into is None else into
+    if into is None or plan.file.seed is not None:
+        bus.noise.state = seeded(plan.file.seed if plan.file.seed is not None else seed)
     later = []
     for n, fault in enumerate(plan.file.fault):
-        row, key = bus.faults[n], ("fault", plan.faults[n])
-        row.kind = int(FaultKind[fault.kind.upper()])
+        row, key = bus.faults[places[n]], ("fault", plan.faults[n])
+        row.kind = int(_TABLED.get(fault.kind) or FaultKind.__members__.get(fault.kind.upper(), FaultKind.DRIFT))
         row.nth, row.every, row.most = 1, 0, 0
         row.match_source = row.station = ALL
         duration = getattr(fault, "duration_s", None)
@@ -180,10 +188,10 @@ def install(
         if fault.after == "enabled":
             row.from_ns = row.next_ns = FAR_NS
             row.until_ns = length_ns
-            later.append((n, round(fault.at_s * 1e9)))
+            later.append((places[n], round(fault.at_s * 1e9)))
         else:
             _begin(row, now_ns + round(fault.at_s * 1e9), length_ns)
-    bus.fault_count = len(plan.file.fault)
+    bus.fault_count = max(int(bus.fault_count), *(row + 1 for row in places), 0)
     for station in stations.values():
         bus.stations["restart_ns"][_rows(station)] = RESTART_MS * 1_000_000
     for n, given in zip(plan.controllers, plan.file.controller, strict=True):
@@ -231,8 +239,9 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
         if getattr(fault, name, None) is not None:
             row.station = nodes.station(getattr(fault, name), (*key, name))
     host = row.station in (SOURCE_HOST, CLIENTS)
-    if isinstance(fault, Reset) and host:
-        raise nodes.plan.mistake((*key, "node"), "the host cannot be reset; expected a node of the rig")
+    if host and isinstance(fault, Reset | NodeFault | OtherNodeId | SlowSdo | SecondMaster):
+        act = "be reset" if isinstance(fault, Reset) else "have this fault"
+        raise nodes.plan.mistake((*key, "node"), f"the host cannot {act}; expected a node of the rig")
     if isinstance(fault, Babble) and host:
         row.station = SOURCE_HOST  # on a bus of clients, a separate station
     if isinstance(fault, Flip | Noise) and row.station not in (ALL, CLIENTS):
@@ -241,7 +250,7 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
         row.bit = BIT_NAMES[fault.bit] if isinstance(fault.bit, str) else fault.bit
     elif isinstance(fault, Cut):
         named_before: set[int] = set()
-        for half, named in enumerate(fault.halves):
+        for half, named in enumerate(fault.halves or ([], _behind(fault.node, nodes, (*key, "node")))):
             for k, node in enumerate(named):
                 station = nodes.station(node, (*key, "halves", half, k))
                 station = HOST_ROW if station == CLIENTS else station % STATIONS
@@ -260,14 +269,27 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
         row.can_id = fault.can_id | (CAN_EFF_FLAG if fault.extended or fault.can_id > 0x7FF else 0)
         row.length, row.word = len(data), data_word(data)
         row.period_ns = round(fault.period_us * 1e3)
+    elif isinstance(fault, SlowSdo):
+        row.delay_ns = round(fault.delay_ms * 1e6)
+        _match(row, Trigger.model_validate({"frame": "SDO RESPONSE", "node": fault.node, "every": 1}), nodes, key)
+    elif isinstance(fault, SecondMaster):
+        row.station = SOURCE_HOST
+        row.can_id, row.length = BASES["RPDO1"] + nodes.node_id(fault.node, (*key, "node")), 8
+        row.period_ns = round(fault.period_us * 1e3)
 
 
-def injections(rows: Records, plan: FaultPlan) -> list[Injected]:
-    """Return the result of each fault of the file."""
-    out = []
-    for n, fault in enumerate(plan.file.fault):
-        row = rows[n]
-        times = int(row.fired)
-        seconds = (int(row.first_ns) * 1e-9, int(row.last_ns) * 1e-9) if times else (None, None)
-        out.append(Injected(fault.kind, plan.lines[n], times, *seconds))
-    return out
+def _behind(node: str | int | None, nodes: _Nodes, key: Key) -> list[str | int]:
+    """Return a node and those behind it on the cable, in the order of the rig."""
+    rows = sorted(row for row in nodes.stations.values() if row >= 0)
+    first = nodes.station(node, key)
+    if first < 0:
+        raise nodes.plan.mistake(key, "the host is at the cable's begin; name the node behind the cut")
+    names = {row: name for name, row in nodes.stations.items()}
+    return [names[row] for row in rows if row >= first]
+
+
+def result_of(row: FaultRecord, kind: str, line: int | None) -> Injected:
+    """Return the result of a fault; `line` as in `Injected`."""
+    times = int(row.fired)
+    seconds = (int(row.first_ns) * 1e-9, int(row.last_ns) * 1e-9) if times else (None, None)
+    return Injected(kind, line, times, *seconds)

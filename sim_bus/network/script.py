@@ -6,10 +6,10 @@
     t_s = 5.0
     node = "motor"            # or "brake", a sensor's name, of several axes "left.motor"
     action = "fault"          # or "clear", "power_off", "power_on", "reset" (as by the NMT command)
-    fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
+    fault = "over_current"    # with "fault" and "clear": a fault of the node; "clear" without it ends all of the node
     after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
 
-A node has the faults that FAULTS lists for it, a sensor none. "clear" removes the cause; the device
+A node has the faults that `sim_bus.network.device_faults` lists for it. "clear" removes the cause; the device
 then still requires its own reset. In a rig of several axes "motor" and "brake" are those of the
 first axis on its bus; entries for nodes on another bus are ignored here.
 """
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import read_text, read_toml
+from coulombus.sim_bus.network.device_faults import FAULTS, OF_EVERY_NODE
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError
 
@@ -34,11 +35,7 @@ __all__ = ["Entry", "ScriptError", "faults_of", "read_script", "script_of"]
 
 NODES = {"motor": MOTOR, "brake": BRAKE}
 ACTIONS = ("power_off", "power_on", "reset", "fault", "clear")
-FAULTS = {
-    "motor": ("over_current", "over_temperature", "encoder_lost", "supply_low"),
-    "brake": ("over_current", "over_temperature", "supply_low", "coil_open", "coil_short"),
-}
-"""Device faults by device."""
+OF_A_SCRIPT = tuple(fault for fault in OF_EVERY_NODE if fault not in ACTIONS)
 
 ORIGINS = ("start", "enabled")
 REQUIRED, OPTIONAL = frozenset(("t_s", "node", "action")), frozenset(("after", "fault"))
@@ -79,7 +76,8 @@ class Entry:
 
 def faults_of(node: str) -> tuple[str, ...]:
     """Return the device faults of a node, by its name with or without its axis."""
-    return FAULTS.get(node.rpartition(".")[2], ())
+    name = node.rpartition(".")[2]
+    return (*FAULTS.get(name, ()), *(("blocked",) if name == "motor" else ()), *OF_A_SCRIPT)
 
 
 def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
@@ -126,8 +124,6 @@ def _entry(where: str, given: Any, names: Sequence[str]) -> Entry:
         if key in given and given[key] not in allowed:
             raise ScriptError(f"{where}: {key} = {given[key]!r}; expected {_either(allowed)}")
     node, action, fault = given["node"], given["action"], given.get("fault")
-    if action in ("fault", "clear") and not faults_of(node):
-        raise ScriptError(f'{where}: the node "{node}" has no faults of its own; expected {_either(ACTIONS[:3])}')
     if fault is None and action == "fault":
         raise ScriptError(f"{where}: the key fault is missing; expected {_either(faults_of(node))}")
     if fault is not None and action not in ("fault", "clear"):

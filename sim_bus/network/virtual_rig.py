@@ -20,17 +20,17 @@ from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameter
 from coulombus.host.cycle.records import Trip
 from coulombus.kernels.records import RecordArray
 from coulombus.node.device import Device
-from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.can_bus.cable_cut import assign
+from coulombus.sim_bus.network import device_faults
 from coulombus.sim_bus.network.attached_axes import AttachedAxes
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR, TOLD_FRAMES, Exit, HostCycle
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.arm_plant import PLANE_COLUMNS, new_plane_plant
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plane_hand import PlaneHand
-from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, TRUTH_COLUMNS, new_plant, truth_columns
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS, new_plant, truth_columns
 from coulombus.sim_bus.rig.plant_step import course_of
 from coulombus.sim_bus.rig.records import AXIS, NOT_BEGUN, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
@@ -43,9 +43,6 @@ __all__ = ["VirtualRig"]
 BLOCK_KNOTS = 8000
 TRUTH_BLOCK_KNOTS = 500  # a smaller block of the true course saves memory
 SEED_STEP = 1_000_003  # difference of the noise seeds of two axes
-COIL_STATES = {"coil_open": COIL_OPEN, "coil_short": COIL_SHORT}
-"""Faults of the coil: the driver detects them by its measurements."""
-
 BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups have been sent
 
 
@@ -322,22 +319,8 @@ class VirtualRig(VirtualNetwork):
                 self.at(entry.t_ns, entry.act)
 
     def inject(self, node: int, fault: str, present: bool) -> None:
-        """Set or clear a fault of `node.emcy.DEVICE_FAULTS` in the node of a row.
-
-        The node detects it at once, or by its measurements.
-        """
-        if fault in COIL_STATES:
-            plant, broken = self.plant[int(self.axis_of[node])], COIL_STATES[fault]
-            if present:
-                plant["coil_fault"] = broken
-            elif plant["coil_fault"] == broken:
-                plant["coil_fault"] = COIL_INTACT
-            return
-        record = self.nodes[node]
-        bit = 1 << DEVICE_FAULTS[fault] - FIRST_DEVICE_CAUSE
-        record["in_faults"] = record["in_faults"] | bit if present else record["in_faults"] & ~bit
-        if record["powered"]:
-            record["next_ns"] = own_ns(record, self.t_ns)
+        """Begin or end a fault of `sim_bus.network.device_faults.EFFECTS` in the node of a row."""
+        device_faults.inject(self, node, fault, present)
 
     def boot(self) -> None:
         """Switch the nodes on, and wait until both boot-ups have been sent."""

@@ -152,10 +152,15 @@ class SimServer(BusServer):
                 left.callback(self._recorder.close)
             super().close()
 
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark the recording, if there is one, at the world's time `t_ns`."""
+        if self._recorder is not None:
+            self._recorder.mark(t_ns, text)
+
     def _plan(self) -> None:
         self.world.plan(self._script)
         if self._faults is not None:
-            Injection(self.world, self._faults, self._seed, None if self._recorder is None else self._recorder.mark)
+            Injection(self.world, self._faults, self._seed, self.mark)
 
     def _finish(self) -> SimResult:
         result = super()._finish()

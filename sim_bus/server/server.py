@@ -153,6 +153,9 @@ class BusServer:
         self._interrupt()
         return future
 
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark the recording, if there is one, at the world's time `t_ns`."""
+
     def _interrupt(self) -> None:
         """Let the loop return to Python."""
         self._pace["stop"] = 1

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from types import FrameType
 
 from coulombus.sim_bus.faults.lines import injected_lines
+from coulombus.sim_bus.server.fault_socket import fault_sockets
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.system.exit import printed, say, show, verdict
@@ -69,8 +70,9 @@ def run_sim(
             made.append(server)
             thread = threading.Thread(target=course, name="bus")
             thread.start()
-            while not over.wait(1.0):
-                notifier.alive(server.wakeups)
+            with fault_sockets(server):
+                while not over.wait(1.0):
+                    notifier.alive(server.wakeups)
             thread.join()
     finally:
         notifier.tell(STOPPING=1)

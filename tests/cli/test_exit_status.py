@@ -39,6 +39,8 @@ BASE = {
     "stop": "stop --bus coulombus:none",
     "status": "status --bus coulombus:none",
     "mark": "mark grasp --bus coulombus:none",
+    "inject": "inject noise --bus coulombus:none",
+    "clear": "clear --bus coulombus:none",
     "set": "set F_s=2.0 --bus coulombus:none",
     "world": "world --seconds 0.01 --web-port 0 --bus coulombus:none",
     "watch": "watch --bus coulombus:none",

@@ -20,6 +20,7 @@ SHARED = {
     "common": "options of several verbs, and checks of what they say",
     "option_types": "what an option's text may be",
     "rig_options": "a rig and its buses",
+    "fault_options": "the bus of inject and clear, and their marker",
     "hosts": "the running host that stop, status, mark and set mean",
     "device_options": "the bus of the verbs for devices",
     "page_options": "the page of run, sim and watch",

@@ -224,10 +224,10 @@ def test_a_script_may_name_a_sensor_and_an_axis(tmp_path):
     assert result.trip.startswith("axis right: ")
 
 
-def test_a_sensor_has_no_faults_of_its_own(tmp_path):
+def test_a_sensor_has_the_faults_of_every_node_only(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text(SCRIPT.replace('"brake"', '"cell"'))
-    with pytest.raises(ScriptError, match=r'entry 1 .*the node "cell" has no faults of its own; expected "power_off"'):
+    with pytest.raises(ScriptError, match=r'entry 1 .*fault = .*expected for node = "cell": "heartbeat_off" or "pdo'):
         read_script(path, ["cell"])
 
 

@@ -65,7 +65,7 @@ def test_a_tutorial_in_virtual_time(page, tmp_path):
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("page", ["can-tour.md", "own-device.md"])
+@pytest.mark.parametrize("page", ["break-a-bus.md", "can-tour.md", "own-device.md"])
 def test_a_tutorial_on_a_live_bus(page, tmp_path, private_sockets):
     folder = tmp_path / "desk"
     folder.mkdir()

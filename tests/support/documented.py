@@ -64,7 +64,7 @@ RULES = (
     (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/monitor"),
     (r": coulombus (set|mark|replay .*--bus)", LIVE + "tests/host, tests/recording, tests/lab"),
     (
-        r": coulombus (node|bridge)|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",
+        r": coulombus (node|bridge|clear|inject (?!--list))|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",
         LIVE + "tests/sim_bus",
     ),
     (r": coulombus world", LIVE + "tests/monitor/web/test_world_gateway.py"),

@@ -1,0 +1,41 @@
+"""The table of docs/bus.md: the incident that `explain` finds within 2 s of each fault."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.explain_truths import explained
+from coulombus.lab.simulate import simulate
+from coulombus.recording.reading import read
+from coulombus.sim_bus.faults.fault_kinds import KINDS
+from coulombus.sim_bus.faults.live_faults import plan_of
+from places import ROOT
+
+AT_S, WITHIN_S = 0.5, 2.0
+ROWS = re.findall(r"^\| `(\w+)` \| (\w+) \| `?([\w-]+)`? \| ([^|]*)\|$", (ROOT / "docs" / "bus.md").read_text(), re.M)
+
+
+def test_the_table_has_each_fault_and_a_reason_where_none_is_named():
+    assert {row[0] for row in ROWS} == set(KINDS)
+    assert all(reason.strip() for _, _, incident, reason in ROWS if incident == "-")
+
+
+@pytest.mark.parametrize(("fault", "place", "incident"), [row[:3] for row in ROWS])
+def test_explain_names_it(fault, place, incident, tmp_path):
+    plan = plan_of(fault, place, None, {})
+    late = plan.file.fault[0].model_copy(update={"after": "enabled", "at_s": AT_S})
+    plan = replace(plan, file=plan.file.model_copy(update={"fault": [late]}))
+    path = tmp_path / "run.pcapng"
+    result = simulate("bench", "hybrid", AT_S + WITHIN_S + 0.2, record=path, seed=1, faults=plan)
+    recording = read(path)
+    frames = recording.frames
+    first_s = result.faults[0]["first_s"]
+    shown = explained(frames[frames["t_ns"] <= (first_s + WITHIN_S) * 1e9], recording.rig)
+    named = {clue.kind for incident in shown.incidents[:1] for clue in incident.clues}
+    if incident == "-":
+        assert not shown.incidents or fault == "drop"
+    else:
+        assert incident in named
