@@ -121,13 +121,12 @@ def test_a_node_boots_with_another_id_and_back():
 def test_an_axis_is_blocked_and_released():
     world = VirtualRig(load_rig("bench"), "hybrid")
     world.boot()
-    friction = float(world.plant[0].coulomb)
     faults = LiveFaults(world, None)
     faults.inject("blocked", "motor", None, {})
     world.wait_ns(MS)
-    assert world.plant[0].coulomb > 1e5
+    assert world.plant[0].obstacle_Nm > 1e5
     faults.clear("", "")
-    assert float(world.plant[0].coulomb) == pytest.approx(friction)
+    assert world.plant[0].obstacle_Nm == 0.0
 
 
 @pytest.mark.parametrize(
