@@ -342,7 +342,7 @@ def _tell(result: StepEnd) -> None:
 def _report(session: Session, paper: Paper) -> None:
     """Write the report after each step, so that results are kept if a later step fails."""
     from coulombus.host.commission.report import write_report
-    from coulombus.rigs.rewrite import write_whole
+    from coulombus.system.unfinished_file import write_whole
 
     page = write_report(session, paper.operator).read_bytes()
     if paper.path is not None:

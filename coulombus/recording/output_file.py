@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from coulombus.eds.regular_file import naming
-from coulombus.eds.unfinished_file import remove_unfinished, unfinished
+from coulombus.system.unfinished_file import remove_unfinished, unfinished
 
 __all__ = ["check", "is_stream", "named_after", "new_file", "open_new", "reason_against"]
 

@@ -19,9 +19,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 from coulombus.recording.folders import INDEX, PACKED, files_of, runs
 from coulombus.system.stop_signals import SIGNALS
+from coulombus.system.unfinished_file import remove_unfinished, unfinished
 
 __all__ = ["SegmentCompressor", "compress", "main"]
 

@@ -7,7 +7,6 @@ file. A `# CHECK:` above a key marks an unverified guess (`rigs.draft.draft_text
 
 from __future__ import annotations
 
-import os
 import re
 import stat
 from collections.abc import Mapping
@@ -17,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.eds.regular_file import read_regular
-from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 from coulombus.rigs.draft.draft_text import CHECK
 from coulombus.rigs.errors import RigError, dotted, toml_value
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
+from coulombus.system.unfinished_file import write_whole
 
-__all__ = ["NewValue", "forget_torn", "replace_file", "rewritten", "write_whole"]
+__all__ = ["NewValue", "replace_file", "rewritten"]
 
 _ASSIGNMENT = re.compile(r"(?P<head>\s*[^=#]*=\s*)(?P<rest>.*)")
 _TEXT_OR_COMMENT = re.compile(r""""(?:[^"\\]|\\.)*"|'[^']*'|(?P<comment>\s*\#.*)""")
@@ -180,40 +179,3 @@ def _keep(path: Path, content: bytes) -> Path:
             write_whole(copy, content, 0o644, new=True)
             return copy
     raise RigError([f"{path}: there are {MOST_COPIES} copies of this name already; take some away"])
-
-
-_BESIDE = re.compile(r"\..+-\d+-[0-9a-f]{8}(\.\w+)?")
-
-
-def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
-    """Write a file atomically: it is synced to disk before it is renamed.
-
-    Raises
-    ------
-    FileExistsError
-        the file must be `new` but exists
-    OSError
-        it cannot be written; an old one is unchanged
-    """
-    remove_unfinished(path.absolute().parent)
-    beside = unfinished(path)
-    try:
-        with beside.open("xb") as file:
-            os.fchmod(file.fileno(), mode)
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        if new:
-            path.open("xb").close()
-        os.replace(beside, path)
-    finally:
-        with suppress(OSError):
-            beside.unlink()
-
-
-def forget_torn(folder: Path) -> None:
-    """Remove temporary files that a killed `write_whole` left in a folder; no writer may be active there."""
-    for path in folder.glob(".*"):
-        if _BESIDE.fullmatch(path.name):
-            with suppress(OSError):
-                path.unlink()

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.commission.step import CommissionError
-from coulombus.rigs.rewrite import write_whole
+from coulombus.system.unfinished_file import write_whole
 
 __all__ = ["Progress", "folder_of"]
 

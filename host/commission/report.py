@@ -16,8 +16,8 @@ from typing import Any
 from coulombus.host.commission.progress import Progress
 from coulombus.host.commission.session import Session
 from coulombus.host.commission.steps import STEPS
-from coulombus.rigs.rewrite import write_whole
 from coulombus.rigs.rig import Rig
+from coulombus.system.unfinished_file import write_whole
 
 __all__ = ["Signature", "report", "signature", "value_texts", "write_report"]
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coulombus.eds.unfinished_file import unfinished
 from coulombus.recording import segment_compressor as module
 from coulombus.recording.folders import INDEX, PACKED, files_of, segments_of
 from coulombus.recording.pcapng_reader import iter_pcapng
@@ -22,6 +21,7 @@ from coulombus.recording.recorder import About
 from coulombus.recording.segment_compressor import compress, main, tidy
 from coulombus.recording.segments import Rotation, SegmentedRecorder
 from coulombus.rigs.rig import load_rig
+from coulombus.system.unfinished_file import unfinished
 from coulombus.wire.frame import Frame, new_records
 
 BATCH, BATCHES = 500, 12

@@ -31,9 +31,9 @@ from typing import Any, Self
 from coulombus.lab.study.study import Study
 from coulombus.lab.study.trials import Trial, Trials
 from coulombus.recording.recorder import project_version
-from coulombus.rigs.rewrite import forget_torn, write_whole
 from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
+from coulombus.system.unfinished_file import remove_unfinished, write_whole
 
 __all__ = ["COLUMNS", "StudyFolderError", "SubjectFolder", "read_events", "subjects_of"]
 
@@ -180,7 +180,7 @@ class SubjectFolder:
             except BlockingIOError:
                 raise StudyFolderError(f"{self.folder}: another session writes there; wait for its end") from None
             for folder in (self.folder, self.own):
-                forget_torn(folder)
+                remove_unfinished(folder)
             self._describe()
             self._take_part()
             (self.own / "recordings").mkdir(parents=True, exist_ok=True)

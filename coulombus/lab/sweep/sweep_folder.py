@@ -29,9 +29,9 @@ from coulombus.lab.sweep.figures import known_figures
 from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.recording.extras import library
 from coulombus.rigs.errors import toml_value
-from coulombus.rigs.rewrite import write_whole
 from coulombus.system.errors import CoulombusError
 from coulombus.system.file_lock import lock_file
+from coulombus.system.unfinished_file import write_whole
 
 __all__ = ["Folder", "RunTimes", "SweepFolderError"]
 

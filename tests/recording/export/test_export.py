@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from bench_recording import CYCLES, MS, STRANGE, record
-from coulombus.eds.unfinished_file import unfinished
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
 from coulombus.recording.export.hdf import _Place
@@ -25,6 +24,7 @@ from coulombus.recording.extras import MissingExtra
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording, UnknownSignal
 from coulombus.rigs.arguments import WrongCall
+from coulombus.system.unfinished_file import unfinished
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf", "mcap": "zstandard", "hdf5": "h5py"}

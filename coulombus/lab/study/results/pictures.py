@@ -11,7 +11,7 @@ import numpy as np
 from coulombus.lab.study.results.fit import Fit
 from coulombus.lab.study.results.report_markdown import page
 from coulombus.recording.pictures.style import COLOURS, DASHES, GREY, figure, save
-from coulombus.rigs.rewrite import write_whole
+from coulombus.system.unfinished_file import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""Name of a file while it is being written, next to its final name.
+"""A file that is written as a whole: until then it has another name, next to its final one.
 
 A process that is killed leaves its unfinished file behind. The name identifies the machine and the
 process, so that the next process that writes into the folder removes it.
@@ -12,7 +12,7 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["remove_unfinished", "unfinished"]
+__all__ = ["remove_unfinished", "unfinished", "write_whole"]
 
 MACHINE = f"{zlib.crc32(os.uname().nodename.encode(errors='surrogateescape')):08x}"
 """Identifier of this machine, or container: process ids repeat among those that share a folder."""
@@ -42,3 +42,29 @@ def _has_ended(pid: int) -> bool:
     except OSError:  # owned by another user
         return False
     return False
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
+    """Write a file atomically: it is synced to disk before it is renamed.
+
+    Raises
+    ------
+    FileExistsError
+        the file must be `new` but exists
+    OSError
+        it cannot be written; an old one is unchanged
+    """
+    remove_unfinished(path.absolute().parent)
+    beside = unfinished(path)
+    try:
+        with beside.open("xb") as file:
+            os.fchmod(file.fileno(), mode)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        if new:
+            path.open("xb").close()
+        os.replace(beside, path)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
