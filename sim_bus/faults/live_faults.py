@@ -74,7 +74,7 @@ def plan_of(kind: str, where: str, lasts_s: float | None, values: Mapping[str, s
     node = where if where.isdigit() else json.dumps(where)
     keys = {name: json.dumps(value) for name, value in model.usual.items()} | {"kind": json.dumps(kind)}
     selects = model.place == "sender"
-    options = {"kind": "the FAULT", "duration_s": "--for"}
+    options = {"kind": "the FAULT", "duration_s": "--for", "bus": "--bus"}
     if where != BUS and not selects:
         options[model.place] = "--on"
     for name in values:

@@ -146,6 +146,7 @@ def test_an_axis_is_blocked_and_released():
         ("noise", "bus", {"after": "enabled"}, FaultRefused, "leave it out"),
         ("noise", "bus", {"kind": "drop"}, FaultRefused, "kind is stated by the FAULT"),
         ("noise", "bus", {"duration_s": "1"}, FaultRefused, "duration_s is stated by --for"),
+        ("noise", "bus", {"bus": "x"}, FaultRefused, "bus is stated by --bus"),
         ("reset", "5", {"node": "6"}, FaultRefused, "node is stated by --on; leave --set node out"),
         ("noise", "5", {"seen_by": "6"}, FaultRefused, "seen_by is stated by --on"),
         ("noise", "bus", {'rate = 1\n[[fault]]\nkind = "drop"\nmost': "1"}, FaultRefused, "is no key"),
