@@ -32,7 +32,7 @@ from coulombus.cli.run_table import print_runs
 from coulombus.cli.tables import echo, progress
 
 if TYPE_CHECKING:
-    from coulombus.host.run.run import Run
+    from coulombus.host.run.run import Outputs, Run
 
 __all__ = ["simulate_command"]
 
@@ -58,15 +58,15 @@ class RunOptions(RigOptions):
     law: str | None
     like: Path | None
 
-    def run(self) -> Run:
-        """Return the run, without outputs: that of the options, or that of a recording."""
+    def run(self, outputs: Outputs) -> Run:
+        """Return the run: that of the options, or that of a recording."""
         from coulombus.host.run.run import NamedText, Run, recorded_run
         from coulombus.sim_bus.faults.fault_file import FaultError
         from coulombus.sim_bus.network.script import ScriptError
 
         if self.like is not None:
             _refuse_beside_like()
-            return recorded_run(self.like, law=self.law, seconds=self.seconds)
+            return recorded_run(self.like, law=self.law, seconds=self.seconds, outputs=outputs)
         rig = self.load()
         if self.law is not None:
             rig = rig.with_law(self.law)
@@ -78,6 +78,7 @@ class RunOptions(RigOptions):
             self.seed,
             faults=None if self.faults is None else NamedText.read(self.faults, "fault file", FaultError),
             script=None if self.script is None else NamedText.read(self.script, "script", ScriptError),
+            outputs=outputs,
         )
 
 
@@ -137,14 +138,11 @@ def simulate_command(chosen: RunOptions, files: Files, as_json: bool) -> None:
       coulombus simulate --like run.pcapng --record again.pcapng
     """
     with errors():
-        from dataclasses import replace
-
         from coulombus.host.run.run import Outputs
         from coulombus.lab.simulate import virtual_run
         from coulombus.sim_bus.faults.lines import injected_lines
 
-        outputs = Outputs(record=files.record, truth=files.truth, force=files.overwrite)
-        run = replace(chosen.run(), outputs=outputs)
+        run = chosen.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
         with progress(not as_json) as report:
             result = virtual_run(run, progress=lambda t: report(run.mode, t, run.seconds))
         remark((*(result.opened or ()), *(result.losses or ())))

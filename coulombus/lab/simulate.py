@@ -183,11 +183,12 @@ def repeat(
     Raises
     ------
     coulombus.host.run.run.NotRepeatable
-        the recording has no run, or its code is not named or differs
+        the recording has no run, its code is not named or differs, or an output file is the recording itself
     """
-    run = recorded_run(path_text(recording, "recording", 'repeat("run.pcapng")'), law=law, script=script, world=world)
+    path = path_text(recording, "recording", 'repeat("run.pcapng")')
     outputs = Outputs(record=_path(record, "record", "run.pcapng"), truth=_path(truth, "truth", "run.npz"), force=force)
-    return virtual_run(replace(run, outputs=outputs), progress=progress)
+    run = recorded_run(path, law=law, script=script, world=world, outputs=outputs)
+    return virtual_run(run, progress=progress)
 
 
 def virtual_run(
@@ -225,8 +226,7 @@ def _check(run: Run) -> None:
     if record is not None or truth is not None or not rig.one_cycle:
         check_plan(rig)  # bring-up refuses it, too
     check_demand(rig, run.mode)
-    each = [run.outputs] if rig.one_cycle else [run.outputs.on(channel) for channel in rig.channels]
-    for path in (path for outputs in each for path in (outputs.record, outputs.truth) if path is not None):
+    for path in run.files:
         check_output(path, force=run.outputs.force)  # known before the first bus is run
     if truth is not None and run.seconds is not None:
         plants = [axis.simulation.plant for axis in (run.simulated or rig).axes]

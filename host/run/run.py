@@ -172,6 +172,12 @@ class Run:
         if not (math.isfinite(self.seconds) and self.seconds > 0):
             raise ValueError(f"seconds {self.seconds!r}: expected a number above 0")
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The recordings and truths to be written, of all buses."""
+        each = [self.outputs] if self.rig.one_cycle else [self.outputs.on(channel) for channel in self.rig.channels]
+        return tuple(path for outputs in each for path in (outputs.record, outputs.truth) if path is not None)
+
     def attachments(self, recorded: Rig) -> dict[str, bytes]:
         """Return the run as the attachment of a recording to which the rig `recorded` is attached."""
         document = _Document(
@@ -285,19 +291,22 @@ def recorded_run(
     script: Callable[..., Any] | None = None,
     world: Callable[..., Any] | None = None,
     seconds: float | None = None,
+    outputs: Outputs | None = None,
 ) -> Run:
-    """Return the run of a recording, to be repeated in virtual time, without outputs.
+    """Return the run of a recording, to be repeated in virtual time.
 
     Parameters
     ----------
     law : ``FILE.py:FUNCTION`` of the run's law, if it is not built in
     script, world : the run's functions, if it had any
     seconds : length of the display, if the run lasted until it was stopped
+    outputs : output files of the repetition
 
     Raises
     ------
     NotRepeatable
-        the recording has no run, its run is damaged, or code is missing or has another checksum
+        the recording has no run, its run is damaged, code is missing or has another checksum, or an output file
+        is the recording itself
     coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
         the recording, or its rig, cannot be read
     """
@@ -329,7 +338,7 @@ def recorded_run(
     if length is None:
         raise NotRepeatable(f"{path}: its run lasted until it was stopped; give --seconds")
     try:
-        return Run(
+        run = Run(
             named.on(rig),
             document.mode,
             length,
@@ -339,6 +348,19 @@ def recorded_run(
             script=named.function("script", document.script, script),
             world=named.function("world", document.world, world),
             world_every=document.world_every,
+            outputs=outputs or Outputs(),
         )
     except ValueError as error:
         raise NotRepeatable(f"{path}: its attachment {RUN}: {error}") from None
+    _refuse_itself(Path(path), run.files)
+    return run
+
+
+def _refuse_itself(recording: Path, files: tuple[Path, ...]) -> None:
+    """Refuse an output file that is the recording, or in its folder: an interrupted run would have lost it."""
+    for file in files:
+        inside = recording.is_dir() and recording.resolve() in file.resolve().parents
+        if inside or (file.exists() and file.samefile(recording)):
+            raise NotRepeatable(
+                f"{file}: that is the recording itself; nothing is written over it; choose another name"
+            )

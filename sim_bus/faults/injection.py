@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from coulombus.sim_bus.can_bus.targets import CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import AnyFault, Drift, NodeFault, OtherNodeId
-from coulombus.sim_bus.faults.rows import Injected, begin_enabled, install, result_of
+from coulombus.sim_bus.faults.rows import Injected, begin_enabled, install, restart_usually, result_of
 from coulombus.sim_bus.network.device_faults import OF_MECHANICS, device_faults_of, inject, renumber
 from coulombus.sim_bus.network.network import TAP
 from coulombus.wire.clock import set_clock
@@ -51,7 +52,7 @@ class _Standing:
     line : of the file; None: it was injected while the bus ran
     where : the node, or "bus"
     node_id : of the node before it booted with another
-    began, ended : whether Python's part has begun; whether it is over
+    began, ended : whether Python's part acts; whether the fault is over
     """
 
     fault: AnyFault
@@ -96,6 +97,7 @@ class Injection:
         self._before: Any = None
         if plan is None:
             self._bus.noise.state = seeded(seed)
+            restart_usually(self._bus, stations_of(world)[0])
         else:
             if int(self._bus.bit_rate) == 0:
                 raise FaultError(
@@ -139,7 +141,6 @@ class Injection:
         (fault,) = plan.file.fault
         self._check(fault, where)
         self.tell()
-        self._discard_ended()
         row = next((row for row, entry in enumerate(self._entries) if entry.ended), len(self._entries))
         if row == MAX_FAULTS:
             raise FaultError(f"{row} faults act already; clear some")
@@ -182,7 +183,7 @@ class Injection:
 
     def _standing(self) -> list[_Standing]:
         """Return the faults that act, or will."""
-        self._expire()
+        self._discard_ended()
         return [entry for entry in self._entries if not entry.ended]
 
     def standing(self) -> list[dict[str, Any]]:
@@ -201,6 +202,7 @@ class Injection:
     def clear(self, kind: str = "", where: str = "") -> list[str]:
         """End the faults of a kind, or of a place, or all; return their texts."""
         texts = []
+        self._expire()
         for row, entry in enumerate(self._entries):
             if not entry.ended and kind in ("", entry.fault.kind) and where in ("", entry.where):
                 self._end(row)
@@ -215,7 +217,9 @@ class Injection:
             f = self._bus.faults[row]
             once = entry.fault.kind == "reset" and entry.fault.on is None and f.fired > 0
             cut = entry.fault.kind == "cut" and (self._bus.cut == WHOLE and f.fired > 0 and not f.framed)
-            timed = entry.fault.kind != "cut" and f.until_ns <= self._world.t_ns
+            timed = entry.fault.kind != "cut" and f.from_ns < FAR_NS and f.until_ns <= self._world.t_ns
+            if timed and not entry.ended:
+                self._stop(row)  # its own event may be due at this very time
             entry.ended = entry.ended or once or cut or timed
 
     def _end(self, row: int) -> None:
@@ -223,6 +227,7 @@ class Injection:
         entry, now_ns = self._entries[row], self._world.t_ns
         self._stop(row)
         entry.ended = True
+        self._later = [(other, after_ns) for other, after_ns in self._later if other != row]
         for wire in self._wires():
             f = wire.faults[row]
             f.until_ns, f.active = min(int(f.until_ns), now_ns), 0
@@ -237,8 +242,9 @@ class Injection:
     def _discard_ended(self) -> None:
         """Free the last rows of the table: a bus without faults is fast."""
         self._expire()
-        if self._bus.cut in (APART, MENDING):
+        if self._bus.cut in (APART, MENDING) or not (self._entries and self._entries[-1].ended):
             return
+        self.tell()  # the strikes of their rows
         while self._entries and self._entries[-1].ended:
             self._past.append(self._result(len(self._entries) - 1))
             self._entries.pop()
@@ -290,6 +296,7 @@ class Injection:
         entry, station = self._entries[row], int(self._bus.faults[row].station)
         if not entry.began:
             return
+        entry.began = False
         if isinstance(entry.fault, Drift):
             self._drift(row, 0)
         elif isinstance(entry.fault, OtherNodeId):
@@ -382,7 +389,7 @@ class Injection:
     def results(self) -> list[dict[str, Any]]:
         """Return the result of each fault, those of the file first, for JSON."""
         now = [self._result(row) for row in range(len(self._entries))]
-        return [asdict(result) for result in sorted((*now, *self._past), key=lambda result: result.line is None)]
+        return [asdict(result) for result in sorted((*now, *self._past), key=lambda result: result.line or math.inf)]
 
 
 def _id_of(world: VirtualNetwork, node: str | int) -> int:

@@ -20,7 +20,6 @@ __all__ = ["BUS", "FaultRefused", "LiveFaults", "NodeUnknown", "catalogue", "kin
 
 BUS = "bus"
 """Place of a fault of the whole bus."""
-FOREVER_S = 1e7
 _PLACE = re.compile(r"^inject:\d+: (fault\.0\.)?", re.MULTILINE)
 
 
@@ -75,14 +74,20 @@ def plan_of(kind: str, where: str, lasts_s: float | None, values: Mapping[str, s
     node = where if where.isdigit() else json.dumps(where)
     keys = {name: json.dumps(value) for name, value in model.usual.items()} | {"kind": json.dumps(kind)}
     selects = model.place == "sender"
+    options = {"kind": "the FAULT", "duration_s": "--for", "bus": "--bus"}
+    if where != BUS and not selects:
+        options[model.place] = "--on"
+    for name in values:
+        if name in options:
+            raise FaultRefused(f"{kind}: {name} is stated by {options[name]}; leave --set {name} out")
+        if not re.fullmatch(r"\w+", name, re.ASCII):
+            raise FaultRefused(f"{kind}: {name!r} is no key; expected KEY=V, as in rate=1e-4")
     if where != BUS and not selects:
         keys[model.place] = node
     elif where != BUS and "on" not in values:
         keys["on"] = f"{{ sender = {node}, every = 1 }}"
     if lasts_s is not None:
         keys["duration_s"] = str(float(lasts_s))
-    elif selects:
-        keys["duration_s"] = str(FOREVER_S)  # without it a fault of frames strikes once
     keys |= {name: _toml(text) for name, text in values.items()}
     try:
         return faults_of("[[fault]]\n" + "".join(f"{name} = {text}\n" for name, text in keys.items()), "inject")

@@ -36,7 +36,7 @@ from coulombus.sim_bus.faults.fault_kinds import (
 )
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
-__all__ = ["Injected", "begin_enabled", "install", "result_of"]
+__all__ = ["Injected", "begin_enabled", "install", "restart_usually", "result_of"]
 
 HOST_ROW = 255
 _TABLED = {"slow_sdo": FaultKind.DELAY, "second_master": FaultKind.BABBLE}
@@ -154,6 +154,7 @@ def install(
     seed : of the noise, if the file has none
     stations, node_ids : stations by name and by node id
     now_ns : present time of the bus, from which the faults' times count
+    into : rows of faults that are injected while the bus runs: on all frames if none are selected
 
     Raises
     ------
@@ -177,7 +178,7 @@ def install(
             row.most = fault.most
             if fault.on is not None:
                 _match(row, fault.on, nodes, (*key, "on"))
-            elif duration is not None:
+            elif duration is not None or into is not None:
                 row.every = 1
         elif isinstance(fault, Cut):
             row.most, row.lasts_ns = fault.most, FAR_NS if duration is None else round(duration * 1e9)
@@ -192,8 +193,8 @@ def install(
         else:
             _begin(row, now_ns + round(fault.at_s * 1e9), length_ns)
     bus.fault_count = max(int(bus.fault_count), *(row + 1 for row in places), 0)
-    for station in stations.values():
-        bus.stations["restart_ns"][_rows(station)] = RESTART_MS * 1_000_000
+    if into is None:
+        restart_usually(bus, stations)
     for n, given in zip(plan.controllers, plan.file.controller, strict=True):
         place: Key = ("controller", n)
         station = nodes.station(given.node, (*place, "node"))
@@ -210,6 +211,12 @@ def install(
     plan_alarm(bus, now_ns)
     refresh(bus)
     return later
+
+
+def restart_usually(bus: BusRecord, stations: Mapping[str, int]) -> None:
+    """Let the stations' controllers recover from bus-off after `RESTART_MS`."""
+    for station in stations.values():
+        bus.stations["restart_ns"][_rows(station)] = RESTART_MS * 1_000_000
 
 
 def _rows(station: int) -> slice:

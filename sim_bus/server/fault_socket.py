@@ -23,7 +23,7 @@ from coulombus.sim_bus.faults.live_faults import BUS, FaultRefused, LiveFaults, 
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.socket_file import locked, unlink_own
 from coulombus.system.exit import say
-from coulombus.wire.address import FAULTS_SUFFIX, BusAddress, BusUnavailable, socket_names, socket_path
+from coulombus.wire.address import FAULTS_SUFFIX, BusAddress, BusUnavailable, bus_names, socket_names, socket_path
 
 __all__ = ["BusFaults", "FaultSocket", "fault_buses", "fault_sockets"]
 
@@ -205,9 +205,8 @@ class BusFaults:
 
     def _answers(self) -> dict[Path, dict[str, Any]]:
         """Return the state of each process on the bus."""
-        paths = [socket_path(name) for name in socket_names() if _bus_of(name) == self.address.name]
         answers = {}
-        for path in paths:
+        for path in _sockets().get(self.address.name, []):
             with suppress(FileNotFoundError, ConnectionRefusedError):  # a killed process's
                 answer = _ask(path, self.address, {})
                 if answer["bus"] == str(self.address):
@@ -224,17 +223,21 @@ def _names(answer: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(str(node[key]) for node in answer["nodes"] for key in ("name", "node_id")))
 
 
-def _bus_of(name: str) -> str:
-    """Return the bus of a socket of this module, or ""."""
-    stem = name.removesuffix(FAULTS_SUFFIX)
-    first, _, last = stem.rpartition(".")
-    return "" if stem == name else first if first and last.isdigit() else stem
+def _sockets() -> dict[str, list[Path]]:
+    """Return the sockets of this module by bus."""
+    buses, paths = bus_names(), dict[str, list[Path]]()
+    for name in socket_names():
+        stem = name.removesuffix(FAULTS_SUFFIX)
+        if stem != name:
+            first, _, last = stem.rpartition(".")
+            joined = first and last.isdigit() and stem not in buses  # a bus may have the name bench.7
+            paths.setdefault(first if joined else stem, []).append(socket_path(name))
+    return paths
 
 
 def fault_buses() -> list[BusAddress]:
     """Return the buses of this user on which faults can be injected."""
-    names = dict.fromkeys(_bus_of(name) for name in socket_names() if _bus_of(name) and _answers_at(socket_path(name)))
-    return [BusAddress("coulombus", name) for name in names]
+    return [BusAddress("coulombus", name) for name, paths in _sockets().items() if any(map(_answers_at, paths))]
 
 
 def _answers_at(path: Path) -> bool:

@@ -215,6 +215,34 @@ def test_a_run_in_real_time_is_attached_and_another_program_is_not_repeated(tmp_
     assert "another program, a program" in call("simulate", "--like", path, "--seconds", 1, status=2)
 
 
+def test_a_run_is_not_recorded_over_its_own_recording(plain, tmp_path):
+    own, link, folder = tmp_path / "own.pcapng", tmp_path / "link.pcapng", tmp_path / "segments"
+    shutil.copy(plain, own)
+    link.symlink_to(own)
+    folder.mkdir()
+    shutil.copy(plain, folder / "000001.pcapng")
+    for like, option, place in (
+        (own, "--record", own),
+        (own, "--record", link),
+        (own, "--truth", own),
+        (folder, "--record", folder / "000001.pcapng"),
+        (folder, "--record", folder / "new.pcapng"),
+    ):
+        text = call("simulate", "--like", like, option, place, "--overwrite", status=2)
+        assert "that is the recording itself" in text
+    with pytest.raises(NotRepeatable, match="choose another name"):
+        coulombus.repeat(own, record=own, force=True)
+    assert own.read_bytes() == plain.read_bytes()
+    assert sorted(path.name for path in folder.iterdir()) == ["000001.pcapng"]
+
+
+def test_a_rigs_file_of_another_bus_is_not_overwritten_either(tmp_path):
+    buses = ('axis.left.bus.channel="a"', 'axis.right.bus.channel="b"')
+    simulate("two_axes", "hybrid", 0.05, record=tmp_path / "one.pcapng", overrides=buses)
+    with pytest.raises(NotRepeatable, match=r"one\.a\.pcapng: that is the recording itself"):
+        coulombus.repeat(tmp_path / "one.a.pcapng", record=tmp_path / "one.pcapng", force=True)
+
+
 class Pressed:
     """A script that is an object."""
 

@@ -14,10 +14,14 @@ from coulombus.lab.bus_log import LoggedNetwork
 from coulombus.node.kinds import DRIVE402
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.can_bus.fault_confinement import MANUAL
+from coulombus.sim_bus.faults.fault_file import faults_of
+from coulombus.sim_bus.faults.fault_kinds import RESTART_MS
+from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.faults.live_faults import FaultRefused, LiveFaults, NodeUnknown
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server import fault_socket
-from coulombus.sim_bus.server.fault_socket import BusFaults, fault_sockets
+from coulombus.sim_bus.server.fault_socket import BusFaults, fault_buses, fault_sockets
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusUnavailable, parse_address
 from places import EDS
@@ -140,6 +144,12 @@ def test_an_axis_is_blocked_and_released():
         ("noise", "bus", {"rate": "-1"}, FaultRefused, "noise: rate: expected a number above 0, not -1"),
         ("noise", "bus", {"rates": "1"}, FaultRefused, "rates: no such key"),
         ("noise", "bus", {"after": "enabled"}, FaultRefused, "leave it out"),
+        ("noise", "bus", {"kind": "drop"}, FaultRefused, "kind is stated by the FAULT"),
+        ("noise", "bus", {"duration_s": "1"}, FaultRefused, "duration_s is stated by --for"),
+        ("noise", "bus", {"bus": "x"}, FaultRefused, "bus is stated by --bus"),
+        ("reset", "5", {"node": "6"}, FaultRefused, "node is stated by --on; leave --set node out"),
+        ("noise", "5", {"seen_by": "6"}, FaultRefused, "seen_by is stated by --on"),
+        ("noise", "bus", {'rate = 1\n[[fault]]\nkind = "drop"\nmost': "1"}, FaultRefused, "is no key"),
     ],
 )
 def test_what_is_refused_changes_nothing(fault, where, values, error, words):
@@ -150,9 +160,66 @@ def test_what_is_refused_changes_nothing(fault, where, values, error, words):
     assert heartbeats(network) > 0
 
 
+def test_controllers_keep_their_settings_when_a_fault_is_injected():
+    network, _, faults = a_node()
+    network.bus[0].stations["restart_ns"][0] = MS
+    faults.inject("over_current", "5", None, {})
+    first = int(network.bus[0].stations["restart_ns"][0])
+    network.bus[0].stations["restart_ns"][0] = MANUAL
+    faults.inject("noise", "bus", None, {})
+    assert first == RESTART_MS * MS
+    assert int(network.bus[0].stations["restart_ns"][0]) == MANUAL
+
+
+@pytest.mark.parametrize("fault", ["over_current", "other_node_id", "drift"])
+def test_a_look_at_the_instant_of_its_end_does_not_keep_a_fault(fault):
+    network, device, faults = a_node()
+    network.at(network.t_ns + 20 * MS, lambda _: faults.state())  # before the fault's own event
+    faults.inject(fault, "5", 0.02, {})
+    network.wait_ns(40 * MS)
+    assert not faults.acts
+    assert (int(network.nodes[0].in_faults), device.node_id, int(network.nodes[0].clock_ppb)) == (0, 5, 0)
+
+
+def test_a_fault_that_is_over_is_not_cleared_and_leaves_no_row():
+    network, _, faults = a_node()
+    faults.inject("drop", "5", 0.02, {})
+    network.wait_ns(30 * MS)
+    assert faults.clear("", "") == []
+    assert network.log.said("fault drop 705h")
+    faults.inject("noise", "bus", 0.02, {})
+    network.wait_ns(30 * MS)
+    assert not faults.acts
+    assert int(network.bus[0].fault_count) == 0
+
+
+def test_a_fault_of_frames_lasts_until_it_is_cleared():
+    network, _, faults = a_node()
+    assert faults.inject("drop", "bus", None, {}) == "inject drop on bus"
+    network.wait_ns(100 * MS)
+    assert network.injection.results()[0]["times"] >= 10
+    assert faults.state()["acting"][0]["for_s"] is None
+
+
+@pytest.mark.parametrize("clears", [False, True])
+def test_a_files_fault_that_waits_for_the_drive_is_kept_until_it_is_cleared(clears):
+    world = VirtualRig(load_rig("bench"), "hybrid")
+    text = '[[fault]]\nkind = "over_current"\nnode = "motor"\nafter = "enabled"\nduration_s = 0.01\n'
+    faults = LiveFaults(world, None)
+    injection = Injection(world, faults_of(text, "faults.toml"), 0)
+    world.boot()
+    assert [row["fault"] for row in faults.state()["acting"]] == ["over_current"]
+    assert len(faults.clear("", "") if clears else []) == clears
+    injection.enabled(world.t_ns)
+    world.wait_ns(5 * MS)
+    assert bool(world.nodes[0].in_faults) is not clears
+    world.wait_ns(10 * MS)
+    assert int(world.nodes[0].in_faults) == 0
+
+
 @contextmanager
-def served(path):
-    server = SimServer(load_rig("bench"), BENCH, record=path)
+def served(path, address=BENCH):
+    server = SimServer(load_rig("bench"), address, record=path)
     ready = threading.Event()
     thread = threading.Thread(target=server.run, kwargs={"ready": ready.set})
     thread.start()
@@ -187,6 +254,17 @@ def test_the_verbs_break_and_mend_a_live_bus_whose_recording_has_the_markers(pri
     assert "inject over_current on motor" in texts
     assert "clear over_current on motor" in texts
     assert "inject noise on bus for 0.02 s" in texts
+
+
+@pytest.mark.real_time
+@pytest.mark.patient
+def test_a_bus_may_be_called_like_a_process_of_another(private_sockets, tmp_path):
+    address = parse_address("coulombus:bench.7")
+    with served(tmp_path / "bus.pcapng", address):
+        assert fault_buses() == [address]
+        assert [node["name"] for node in BusFaults(address).state()["nodes"]] == ["motor", "brake"]
+        with pytest.raises(BusUnavailable, match=r"there is coulombus:bench\.7"):
+            BusFaults(parse_address("coulombus:bench")).state()
 
 
 @pytest.mark.real_time
