@@ -19,7 +19,7 @@ from coulombus.eds.cia301 import Abort
 from coulombus.eds.drive_scale import SCALE_OBJECTS, VELOCITY_UNIT, position_scale, velocity_unit
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node import axis402, emcy, slots402, states402
+from coulombus.node import emcy, motion402, servo402, slots402, states402
 from coulombus.node.profile import (
     BY_RESET,
     SUPPLY_LOST,
@@ -57,6 +57,7 @@ _SETPOINTS: Mapping[int, Key] = {
     cia402.OPERATION_MODE_CST: _TARGET_TORQUE,
 }
 """Set-point of each mode; the homing method of mode 6."""
+_AXIS: tuple[Key, ...] = ((0x607B, 1), (0x60B8, 0), (0x60FD, 0))
 _SPEED_RAD_S = 300.0
 """Bandwidth of the speed control of a drive that knows its load."""
 COUNTS_REV = 8192.0
@@ -73,8 +74,8 @@ def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue)
         states402.new_setpoint(n, received_ns, _SPEED)
     if carries & slots402.ACTS_POSITION:
         states402.new_setpoint(n, received_ns, _POSITION)
-    if carries & slots402.ACTS_PROBE:
-        axis402.new_probe_function(n)
+    if carries & slots402.ACTS_PROBE and n.servo:
+        servo402.serve(n, servo402.PROBE, t_ns, 0)
     if carries & slots402.ACTS_CONTROLWORD:
         states402.new_controlword(n, t_ns, out)
 
@@ -154,11 +155,18 @@ def _modes(objects: Objects) -> int:
     return sum(1 << mode - 1 for mode, key in _SETPOINTS.items() if supported >> mode - 1 & 1 and key in objects)
 
 
+def _is_servo(objects: Objects) -> bool:
+    """Tell whether the drive offers a position mode, or has an object of the axis."""
+    offered = _modes(objects)
+    return any(offered >> mode - 1 & 1 for mode in motion402.POSITION_MODES) or any(key in objects for key in _AXIS)
+
+
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["supply_mV"] = objects.number(0x6079, 0, 0) or _SUPPLY_mV
     ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     record["modes"] = _modes(objects)
+    record["servo"] = servo402.servo_address() if _is_servo(objects) else 0
     _scale(record, objects)
     states402.start(record, t_ns)
 

@@ -74,6 +74,7 @@ class DriveFields(Record):
     vendor_slot: int  # slot of its set-point
     supply_mV: int  # value of 6079h while the supply is present
     modes: int  # offered modes, as in 6502h
+    servo: int  # address of the function of node.servo402; 0: the drive is no servo drive
     # axis (node.axis402)
     load_counts_s2: float  # acceleration of the axis by one per mille of torque, counts/s^2; 0: unknown
     unit_counts_s: float  # counts/s in one unit of 606Ch (60A9h)

@@ -19,7 +19,6 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -29,7 +28,7 @@ from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
 from coulombus.kernels.decorator import constant, kernel
-from coulombus.node import axis402, emcy, homing402, motion402, position402, slots, slots402
+from coulombus.node import emcy, homing402, motion402, servo402, slots, slots402
 from coulombus.node.motion402 import MODES
 from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
@@ -67,7 +66,7 @@ but the trapezoid (6086h) and no interpolation but the linear (60C0h).
 ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
 """Value of 6502h: modes that the drive supports."""
 
-_CST, _CSP, _HOMING = cia402.OPERATION_MODE_CST, cia402.OPERATION_MODE_CSP, cia402.OPERATION_MODE_HOMING
+_CST, _CSP = cia402.OPERATION_MODE_CST, cia402.OPERATION_MODE_CSP
 _INTERPOLATED = cia402.OPERATION_MODE_INTERPOLATED_POSITION
 
 _HALT = 0x0100
@@ -191,11 +190,8 @@ def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Act on the written controlword: at most one row of the table, then the bits of a position mode."""
     before = n.controlword
     _command(n, t_ns, out)
-    if n.power_state == PowerState.OPERATION_ENABLED and n.slowing == 0 and motion402.is_position_mode(n):
-        if n.mode == _HOMING:
-            homing402.new_controlword(n, t_ns, before)
-        else:
-            position402.new_controlword(n, t_ns, before)
+    if n.servo:
+        servo402.serve(n, servo402.CONTROLWORD, t_ns, before)
 
 
 @kernel
@@ -261,8 +257,7 @@ def new_setpoint(n: NodeRecord, t_ns: int, acts: int) -> None:
     if motion402.is_position_mode(n):
         if acts != slots402.ACTS_POSITION or (n.mode != _CSP and n.mode != _INTERPOLATED):
             return
-        if n.power_state == PowerState.OPERATION_ENABLED and n.slowing == 0:
-            position402.new_target(n, t_ns)
+        servo402.serve(n, servo402.TARGET, t_ns, 0)
     elif acts != (slots402.ACTS_SPEED if motion402.is_speed_mode(n.mode) else slots402.ACTS_TORQUE):
         return
     if n.setpoint_armed == 0:
@@ -290,19 +285,7 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
     elapsed_ns = t_ns - n.demand_ns
     n.demand_ns = t_ns
     n.ramping = 0
-    if n.probe_function:
-        axis402.look_at_probes(n)
-    if (
-        n.power_state == PowerState.OPERATION_ENABLED
-        and n.in_supply_ok
-        and motion402.is_position_mode(n)
-        and not n.slowing
-    ):
-        if n.mode == _HOMING:
-            homing402.actuate(n, t_ns, elapsed_ns)
-        else:
-            position402.actuate(n, t_ns, elapsed_ns)
-        motion402.put_out(n)
+    if n.servo and servo402.serve(n, servo402.ACTUATE, t_ns, elapsed_ns):
         return
     if n.mode != _CST or n.slowing or n.mode == n.vendor_mode:
         motion402.other_mode(n, t_ns, elapsed_ns)
@@ -323,29 +306,16 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
 
 
 @kernel
-def _to_int32(value: float) -> int:
-    if not value > -2147483648.0:
-        return -2147483648
-    if value > 2147483647.0:
-        return 2147483647
-    return math.floor(value + 0.5)
-
-
-@kernel
 def sample(n: NodeRecord) -> None:
     """Write actual position, velocity, torque and the statusword to their slots."""
     values = n.values
-    position = float(n.in_position_counts)
-    values[slots402.POSITION] = axis402.user_position(n, position)
-    values[slots402.INTERNAL_POSITION] = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
-    values[slots402.DIGITAL_INPUTS] = axis402.inputs(n, position)
-    controlled = n.power_state == PowerState.OPERATION_ENABLED and motion402.is_position_mode(n)
-    demand = n.position_demand if controlled else position
-    values[slots402.POSITION_DEMAND] = axis402.user_position(n, demand)
-    values[slots402.FOLLOWING_ERROR] = _to_int32(demand - position)
-    values[slots402.VELOCITY] = _to_int32(n.in_velocity_counts_s)
+    position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000  # wraps like the counter
+    values[slots402.POSITION] = values[slots402.POSITION_DEMAND] = position
+    values[slots402.INTERNAL_POSITION] = position
+    position_bits = servo402.serve(n, servo402.SAMPLE, 0, 0) if n.servo else 0
+    values[slots402.VELOCITY] = servo402.to_int32(n.in_velocity_counts_s)
     values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
-    values[slots402.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
+    values[slots402.TORQUE_ACTUAL] = min(max(servo402.to_int32(n.in_torque_pm), -32768), 32767)
     values[slots402.CURRENT_ACTUAL] = values[slots402.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
     word = STATUSWORD_OF_STATE[n.power_state]
     if n.in_supply_ok:
@@ -356,9 +326,8 @@ def sample(n: NodeRecord) -> None:
         word |= _REMOTE
     if n.limited:
         word |= _LIMIT
-    if controlled:
-        if not n.slowing:
-            word |= homing402.status_bits(n) if n.mode == _HOMING else position402.status_bits(n)
+    if motion402.is_position_mode(n) and n.power_state == PowerState.OPERATION_ENABLED:
+        word |= position_bits
     elif n.power_state == PowerState.OPERATION_ENABLED and not n.setpoint_stale:
         if n.mode != _CST:
             word |= motion402.target_bits(n)

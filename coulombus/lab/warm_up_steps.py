@@ -34,6 +34,7 @@ from coulombus.lab.virtual_bringup import switch_on
 from coulombus.node import core, own_time
 from coulombus.node.device import Device
 from coulombus.node.record import new_nodes
+from coulombus.node.servo402 import servo_address
 from coulombus.recording.export.text_rows import TextRows, texts_of, times_of
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
@@ -79,6 +80,7 @@ def _nodes() -> Iterator[None]:
     for stand_in in stand_ins(rig.one_axis()):
         device = Device(stand_in.served.description, stand_in.node_id, stand_in.profile, new_nodes(1)[0])
         device.power_on(0, out)
+    servo_address()
     yield
     for part in (core, own_time):
         Entry(part.on_time).load(device.record, 0, out)

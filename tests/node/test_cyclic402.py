@@ -10,7 +10,7 @@ import pytest
 from coulombus.eds.reader import Description
 from coulombus.node.drive402 import DRIVE402
 from node_bench import MS, Bench, SdoAborted, description
-from servo_bench import BIT12, CSP, ENABLE, HOMING, IP, LIMIT, PP, REACHED, Servo
+from servo_bench import BIT12, CSP, CSV, ENABLE, HOMING, IP, LIMIT, PP, REACHED, Servo
 
 HALT, RELATIVE = 0x100, 0x40
 
@@ -244,3 +244,29 @@ def test_homing_stays_after_a_change_of_the_mode_and_ends_with_reset():
     assert servo.read(0x6064) == 0
     servo.bench.nmt(0x81)
     assert servo.read(0x6064) == 50
+
+
+POSITION_MODES, AXIS = (0x607A, 0x6098, 0x60C1), (0x607B, 0x60B8, 0x60FD)
+
+
+@pytest.mark.parametrize("present", AXIS)
+def test_a_drive_without_position_modes_has_the_servo_part_for_an_object_of_the_axis(present):
+    servo = Servo(CSV, eds=without(*POSITION_MODES, *(index for index in AXIS if index != present)), position=-130)
+    assert servo.node.servo != 0
+    if present == 0x607B:
+        servo.write(0x607B, 0, subindex=1)
+        servo.write(0x607B, 99, subindex=2)
+        assert servo.read(0x6064) == 70
+
+
+def test_a_drive_with_none_of_them_has_no_servo_part():
+    servo = Servo(CSV, eds=without(*POSITION_MODES, *AXIS), position=-130)
+    assert servo.node.servo == 0
+    assert [servo.read(index) for index in (0x6062, 0x6063, 0x6064, 0x60F4)] == [-130, -130, -130, 0]
+    servo.write(0x60FF, 500)
+    servo.enable()
+    servo.run(100)
+    assert servo.speed > 100
+    bench = Bench("motor", 5)
+    bench.power_on()
+    assert bench.node.servo == 0
