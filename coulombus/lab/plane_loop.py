@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.laws.plane.plane_laws import PlaneLaw, load_plane_law
-from coulombus.host.plane.plane_host import PlaneModel, new_plane_host
+from coulombus.host.plane.plane_host import TURN_S, PlaneModel, new_plane_host
 from coulombus.host.plane.plane_host_record import TRACK, PlaneHostRecord
 from coulombus.host.plane.plane_step import plane_step
 from coulombus.kernels.decorator import kernel
@@ -59,7 +59,7 @@ class PlaneRun:
     law: PlaneLaw | None = None
     period_s: float = 1e-3
     window_cycles: int = 6
-    turn_s: float = 0.024
+    turn_s: float = TURN_S
     models_lag: bool = True
     reversal_lags: float = 4.0
 

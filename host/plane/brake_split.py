@@ -10,14 +10,14 @@ In slip, with the direction :math:`s_i = \mathrm{sgn}\,\dot q_i`:
     b_i &= \max(0, -\tau_i s_i - f_i)\,\min\left(1, \frac{|\dot q_i|}{T_r |\ddot q_i|}\right) \\
     \tau_{m,i} &= \tau_i + \hat s_i (\hat b_i + f_i)
 
-:math:`\hat b_i` is the torque of brake i in the host's model: the set-point after the bus delay, the
-coil's lag and the fluid's lag. So the motors give the part that the brakes do not give: while the brakes
-lag, and where a brake would have to push. The second factor is below 1 only for a joint that comes to
-rest within :math:`T_r`. Its brake is released before, because a brake that lags behind a reversal pulls
-in the wrong direction. :math:`\hat s_i` is the direction at the time when the commands act,
-:math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`, because the measured speed is a few milliseconds old. A
-joint at rest while the other joint moves has no direction; its motor gives the whole torque. Without
-motors (passive) the second factor is 1.
+:math:`\hat b_i` is the torque of brake i in the host's model: the set-point after the bus delay, the coil's
+lag and the fluid's lag, at the end of the cycle in which the commands act. So the motors give the part that
+the brakes do not give: while the brakes lag, and where a brake would have to push. The second factor is
+below 1 only for a joint that comes to rest within :math:`T_r`. Its brake is released before, because a
+brake that lags behind a reversal pulls in the wrong direction. :math:`\hat s_i` is the direction at the
+time when the commands act, :math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`, because the measured speed is a
+few milliseconds old. A joint at rest while the other joint moves has no direction; its motor gives the
+whole torque. Without motors (passive) the second factor is 1.
 
 At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h = J^T F_h`:
 
@@ -57,11 +57,17 @@ FLUID_LEAD, COIL_LEAD = 3.0, 2.0
 
 
 @kernel
-def _seen(coil_step: float, before: float, now: float) -> float:
-    """Return the coil's torque that the fluid follows in a cycle: the mean, or the new torque without a coil
-    lag.
+def _lagged(
+    c: SplitControlRecord, joint: int, coil_Nm: float, torque_Nm: float, setpoint_Nm: float
+) -> tuple[float, float]:
+    """Return a brake's torque behind the coil's lag, and behind both lags, a cycle later.
+
+    The fluid follows the mean of the coil's torque in the cycle, or the new torque without a coil lag.
     """
-    return now if coil_step >= 1.0 else 0.5 * (before + now)
+    coil_step = c.coil_step[joint]
+    coil = coil_Nm + coil_step * (setpoint_Nm - coil_Nm)
+    seen = coil if coil_step >= 1.0 else 0.5 * (coil_Nm + coil)
+    return coil, torque_Nm + c.fluid_step[joint] * (seen - torque_Nm)
 
 
 @kernel
@@ -83,19 +89,21 @@ def _lead(c: SplitControlRecord, s: SplitStateRecord, joint: int, level_Nm: floa
 
 @kernel
 def expect_brakes(c: SplitControlRecord, s: SplitStateRecord) -> None:
-    """Step the brakes' expected torques by one cycle; call it once a cycle, before `slip` or `hold`.
-
-    Set-points and motor commands act a cycle after they were sent. So the motors' commands are computed for
-    the brakes' torques at that time.
-    """
+    """Step the brakes' expected torques by one cycle; call it once a cycle, before `slip` or `hold`."""
     for i in range(JOINTS):
-        before = s.coil_Nm[i]
-        coil_step, fluid_step = c.coil_step[i], c.fluid_step[i]
-        s.coil_Nm[i] += coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
-        s.expected_Nm[i] += fluid_step * (_seen(coil_step, before, s.coil_Nm[i]) - s.expected_Nm[i])
+        s.coil_Nm[i], s.expected_Nm[i] = _lagged(c, i, s.coil_Nm[i], s.expected_Nm[i], s.sent_Nm[i])
         s.sent_Nm[i], s.motor_sent_Nm[i] = s.brake_Nm[i], s.motor_Nm[i]
-        coil = s.coil_Nm[i] + coil_step * (s.sent_Nm[i] - s.coil_Nm[i])
-        s.ahead_Nm[i] = s.expected_Nm[i] + fluid_step * (_seen(coil_step, s.coil_Nm[i], coil) - s.expected_Nm[i])
+
+
+@kernel
+def _ahead(c: SplitControlRecord, s: SplitStateRecord, joint: int) -> float:
+    """Return a brake's torque at the end of the cycle in which the commands of this cycle act.
+
+    They act from the next cycle's start to its end, half a cycle later on average, and a motor lags by about
+    another half.
+    """
+    coil, torque = _lagged(c, joint, s.coil_Nm[joint], s.expected_Nm[joint], s.sent_Nm[joint])
+    return _lagged(c, joint, coil, torque, s.brake_Nm[joint])[1]
 
 
 @kernel
@@ -144,6 +152,7 @@ def slip(
         level = max(-torque * sense - c.friction_Nm[i], 0.0) * part
         s.brake_Nm[i] = min(level, c.brake_limit_Nm[i])
         s.clipped[i] = 1 if c.brake_limit_Nm[i] > 0.0 and level > c.brake_limit_Nm[i] else 0
+        s.ahead_Nm[i] = _ahead(c, s, i)
         passive = -sense * (s.ahead_Nm[i] + c.friction_Nm[i])
         most = max(c.motor_limit_Nm[i] - abs(push), 0.0)
         rest = torque + soon * (s.ahead_Nm[i] + c.compensation_Nm[i])

@@ -15,10 +15,10 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, MechanismMistake, load_mechanism
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["PLANE_MODES", "PlaneModel", "load_plane", "new_plane_host"]
+__all__ = ["PLANE_MODES", "TURN_S", "PlaneModel", "load_plane", "new_plane_host"]
 
 PLANE_MODES = {"active": ACTIVE, "passive": PASSIVE, "hybrid": HYBRID}
-TURN_S = 0.04
+TURN_S = 0.08
 """Time over which the change of the speeds is computed, to predict the tip's direction."""
 REVERSAL_LAGS = 4.0
 """A brake is released early if its joint will come to rest within this many of its lags."""

@@ -11,7 +11,7 @@ from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismRecord,
 __all__ = ["ACTIVE", "HYBRID", "PASSIVE", "TRACK", "PlaneHostRecord", "SplitControlRecord", "SplitStateRecord"]
 
 ACTIVE, PASSIVE, HYBRID = 0, 1, 2
-TRACK = 64
+TRACK = 128
 """Size of the ring of positions for the speeds."""
 
 
@@ -39,7 +39,7 @@ class SplitStateRecord(Record):
     motor_sent_Nm: Annotated[FloatField, JOINTS]  # torques of the motors in the last cycle, which act now
     coil_Nm: Annotated[FloatField, JOINTS]  # modelled torque behind the coil's lag
     expected_Nm: Annotated[FloatField, JOINTS]  # modelled torque behind coil and fluid: the brake's torque now
-    ahead_Nm: Annotated[FloatField, JOINTS]  # modelled brake torque at the time when the next commands act
+    ahead_Nm: Annotated[FloatField, JOINTS]  # modelled brake torque at the end of the cycle in which the commands act
     motor_J: Annotated[FloatField, JOINTS]  # net work of each motor on its joint
     taken_J: float  # energy of the joints' motion absorbed by motors, brakes and friction together
     push_Nm: Annotated[FloatField, JOINTS]  # the part of the motors' torques that pushes back (a wall's spring)

@@ -66,7 +66,7 @@ def test_the_recording_has_each_joints_share_and_the_fade(recorded):
     for joint in ("shoulder", "elbow"):
         share = recording[f"{joint}.host.world_share"].values
         assert (share[0], share.max(), share[-1]) == (0.0, 1.0, 0.0)
-        assert np.abs(recording[f"{joint}.host.world_Nm"].values).max() > 0.1
+        assert np.abs(recording[f"{joint}.host.world_Nm"].values).max() > 0.09
     falling = share[(share > 0.0) & (share < 1.0)]
     assert np.allclose(np.diff(falling), -0.01, atol=2e-4)  # 2 ms of 0.2 s
 

@@ -60,7 +60,7 @@ def test_a_stranger_who_commands_the_drive_gives_the_handle_little():
 
 
 def test_a_joint_of_an_arm_hands_over_as_an_axis_does():
-    for what, least_Nm in (("orderly end", 0.25), ("motor: TPDO lost", 0.5)):
+    for what, least_Nm in (("orderly end", 0.24), ("motor: TPDO lost", 0.5)):
         run = ended("plane", "active", ENDS[what], 0.9, 3.5)
         assert run.speed_rad_s <= 0.3
         assert run.setpoint_Nm >= least_Nm

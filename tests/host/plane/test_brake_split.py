@@ -45,7 +45,7 @@ def arm(l1, l2, q1, q2):
 def split(c, jacobian, psi, v, push=NOTHING, rate=NOTHING, expected=None):
     s = new_records(SplitStateRecord)[0]
     if expected is not None:
-        s["expected_Nm"] = s["ahead_Nm"] = expected
+        s["expected_Nm"] = s["coil_Nm"] = s["sent_Nm"] = expected
     slip(
         c,
         s,
@@ -115,6 +115,7 @@ def test_whatever_is_wanted_no_limit_is_passed_and_the_whole_takes_power(
     if not np.hypot(*tip) > 1e-6:
         return
     c = control(brake, motor, friction_Nm=[0.1, 0.05], reversal_s=0.06, lead_s=0.004)
+    c["coil_step"], c["fluid_step"] = 0.3, 0.1
     s = split(c, jacobian, size * tip / np.hypot(*tip), v, rate=rate, expected=np.array(expected))
     assert (np.abs(s["motor_Nm"]) <= np.array(motor) + 1e-12).all()
     assert (s["brake_Nm"] >= 0).all()
@@ -192,21 +193,21 @@ def test_the_energies_are_those_of_what_acts():
     assert s["taken_J"] == pytest.approx(2 * (0.1 * 2e-3 - 0.6e-3) + 0.3 * 2e-3 + 0.2e-3)
 
 
-def test_the_expected_torque_is_the_lags_answer_a_cycle_later():
-    c, s = (
-        control(coil_step=1 - math.exp(-1e-3 / 3e-3), fluid_step=1 - math.exp(-1e-3 / 12e-3)),
-        new_records(SplitStateRecord)[0],
-    )
-    s["brake_Nm"] = 1.0
+def test_the_motors_give_what_the_lagging_brake_lacks_when_they_act():
+    c = control(coil_step=1 - math.exp(-1e-3 / 3e-3), fluid_step=1 - math.exp(-1e-3 / 12e-3))
+    s, pose = new_records(SplitStateRecord)[0], posed(np.eye(2))
     seen, ahead = [], []
     for _ in range(60):
         expect_brakes(c, s)
+        slip(c, s, pose, np.array([1.0, 0.0]), NOTHING, np.array([0.5, 0.0]), NOTHING)
         seen.append(float(s["expected_Nm"][0]))
         ahead.append(float(s["ahead_Nm"][0]))
-    t = (np.arange(60)) * 1e-3  # it was sent in the first cycle, and acts from the second on
+        assert s["motor_Nm"][0] == pytest.approx(ahead[-1] - 1.0)
+    assert s["brake_Nm"][0] == 1.0
+    t = (np.arange(60) - 1) * 1e-3  # it is sent in the first cycle, and acts from the second on
     exact = 1 - (12 * np.exp(-t / 12e-3) - 3 * np.exp(-t / 3e-3)) / 9
-    assert seen == pytest.approx(exact, abs=0.01)
-    assert ahead[:-1] == pytest.approx(seen[1:])
+    assert seen[1:] == pytest.approx(exact[1:], abs=0.01)
+    assert ahead[:-2] == pytest.approx(seen[2:])  # the end of the cycle in which the commands act
 
 
 @pytest.mark.parametrize("seed", range(8))
