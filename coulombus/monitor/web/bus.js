@@ -1,5 +1,5 @@
 "use strict";
-// The simulated bus with host, nodes and cable: a click breaks one, a click on what is broken mends it.
+// The simulated bus with host, nodes and cable: a click breaks one, a click on what is broken repairs it.
 
 const WIRE = "bus", CUT = "cut";
 const faultMenu = document.getElementById("faults"), spots = new Map();  // by button: its name, what acts, what can
@@ -32,9 +32,9 @@ function bus(state, controls) {
   openIncidents();
 }
 
-// The simulated nodes, and others that are on the bus.
+// The simulated nodes, and others that are on the bus; the host has its own box.
 function busNodes(state) {
-  const left = [...state.nodes];
+  const left = state.nodes.filter((row) => row.name !== "host");
   const heard = (test) => left.splice(left.findIndex(test) >>> 0, 1)[0];
   const simulated = state.faults.nodes.map((node) => ({...node,
     heard: heard((row) => row.name === node.name) || heard((row) => row.id === node.node_id)}));
@@ -78,13 +78,13 @@ function station(node, place, faults, usable) {
   setText(box.children[1], state);
   setText(box.children[2], acts.join(", "));
   box.classList.toggle("grave", Boolean(row && (row.silent || row.emergency)));
-  spot(box, {label: node.name, acts, can: node.faults.map((fault) => [fault, node.name]), mend: acts.length ? {fault: "", on: node.name} : null}, usable,
+  spot(box, {label: node.name, acts, can: node.faults.map((fault) => [fault, node.name]), repair: acts.length ? {fault: "", on: node.name} : null}, usable,
     `${node.name}, node ${node.node_id}: ${state}`);
   cable.classList.toggle("cut", cut);
   setText(cable.lastChild, [...(cut ? [CUT] : []), ...wire].join(", "));
   spot(cable, {label: `the cable in front of ${node.name}`, acts: cut ? [CUT, ...wire] : wire,
     can: [...node.faults.filter((fault) => fault === CUT).map((fault) => [fault, node.name]), ...faults.wire.map((fault) => [fault, WIRE])],
-    mend: cut ? {fault: CUT, on: node.name} : wire.length ? {fault: "", on: WIRE} : null}, usable, `cable in front of ${node.name}`);
+    repair: cut ? {fault: CUT, on: node.name} : wire.length ? {fault: "", on: WIRE} : null}, usable, `cable in front of ${node.name}`);
 }
 
 function spot(button, what, usable, label) {
@@ -93,18 +93,18 @@ function spot(button, what, usable, label) {
   button.classList.toggle("broken", what.acts.length > 0);
   const spoken = `${label}${what.acts.length ? `; ${what.acts.join(", ")} acts` : ""}`;
   if (button.getAttribute("aria-label") !== spoken) button.setAttribute("aria-label", spoken);
-  if (what.mend) button.removeAttribute("aria-haspopup");
+  if (what.repair) button.removeAttribute("aria-haspopup");
   else button.setAttribute("aria-haspopup", "dialog");
-  button.title = what.mend ? "Mend (with Shift: break it further)" : "Break";
+  button.title = what.repair ? "Repair (with Shift: break it further)" : "Break";
 }
 
-const mend = (what) => tell(`clear ${JSON.stringify(what)}`);
+const repair = (what) => tell(`clear ${JSON.stringify(what)}`);
 
-// Mend what is broken; else, or with Shift, list the faults that it can have.
+// Repair what is broken; else, or with Shift, list the faults that it can have.
 function strike(event) {
   const button = event.target.closest("button"), what = spots.get(button);
   if (!what) return;
-  if (what.mend && !event.shiftKey) mend(what.mend);
+  if (what.repair && !event.shiftKey) repair(what.repair);
   else listFaults(button, what);
 }
 
@@ -144,22 +144,22 @@ faultMenu.addEventListener("keydown", (event) => {
 function actingList(acting, usable) {
   put("acting", acting.length || "none");
   const list = document.getElementById("acting-list"), keys = acting.map(({fault, on}) => `${fault}:${on}`).join("\n");
-  action("mend-all").hidden = !acting.length;
+  action("repair-all").hidden = !acting.length;
   if (list.dataset.keys !== keys) {
     list.dataset.keys = keys;
     list.replaceChildren(...acting.map(({fault, on}) => {
       const item = document.createElement("li"), made = document.createElement("button");
-      made.dataset.action = `mend:${fault}:${on}`;
-      made.textContent = "Mend";
-      made.setAttribute("aria-label", `Mend ${fault} on ${on}`);
-      made.addEventListener("click", () => mend({fault, on}));
+      made.dataset.action = `repair:${fault}:${on}`;
+      made.textContent = "Repair";
+      made.setAttribute("aria-label", `Repair ${fault} on ${on}`);
+      made.addEventListener("click", () => repair({fault, on}));
       item.append(made, document.createElement("span"));
       return item;
     }));
   }
   acting.forEach((fault, i) => setText(list.children[i].lastChild,
     ` ${fault.fault} on ${fault.on}, since ${Math.max(0, fault.since_s).toFixed(0)} s${fault.for_s && fault.for_s < 1e6 ? ` of ${fault.for_s} s` : ""}: ${faultEffects[fault.fault] || ""}`));
-  for (const button of [action("mend-all"), ...list.querySelectorAll("button")]) button.disabled = !usable;
+  for (const button of [action("repair-all"), ...list.querySelectorAll("button")]) button.disabled = !usable;
 }
 
 // A new incident is open here: its cause and its checks are what one looks for.
@@ -171,5 +171,5 @@ function openIncidents() {
 }
 
 document.getElementById("stations").addEventListener("click", strike);
-action("mend-all").addEventListener("click", () => mend({fault: "", on: ""}));
+action("repair-all").addEventListener("click", () => repair({fault: "", on: ""}));
 action("bus").addEventListener("click", toggleBus);

@@ -325,8 +325,10 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
             return
         fault = fault_of(text)
         if fault is not None and self.page.faults is not None:
-            act = self.page.faults.inject if fault[0] == "inject" else self.page.faults.clear
-            self._ask(f"no {fault[0]}", lambda: {"marker": act(*fault[1:])})
+            verb, *place = fault
+            faults = self.page.faults
+            act, refused = (faults.inject, "not broken") if verb == "inject" else (faults.clear, "not repaired")
+            self._ask(refused, lambda: {"marker": act(*place)})
             return
         self.rubbish += 1
         if self.rubbish > RUBBISH:
