@@ -2,6 +2,7 @@
 // The simulated bus with host, nodes and cable: a click breaks one, a click on what is broken repairs it.
 
 const WIRE = "bus", CUT = "cut";
+let newestIncident = "";
 const faultMenu = document.getElementById("faults"), spots = new Map();  // by button: its name, what acts, what can
 
 function showBus(shown) {
@@ -29,7 +30,6 @@ function bus(state, controls) {
   all.forEach((node, i) => station(node, document.getElementById("stations").children[i + 1], faults, usable));
   document.getElementById("bus-hint").classList.toggle("viewing", !usable);
   actingList(faults.acting, usable);
-  openIncidents();
 }
 
 // The simulated nodes, and others that are on the bus; the host has its own box.
@@ -98,6 +98,7 @@ function spot(button, what, usable, label) {
   button.title = what.repair ? "Repair (with Shift: break it further)" : "Break";
 }
 
+const effectOf = (fault) => (faultEffects[fault] || "").replaceAll("`", "");
 const repair = (what) => tell(`clear ${JSON.stringify(what)}`);
 
 // Repair what is broken; else, or with Shift, list the faults that it can have.
@@ -115,7 +116,7 @@ function listFaults(button, what) {
     const item = document.createElement("li"), made = item.appendChild(document.createElement("button"));
     made.dataset.action = `fault:${fault}`;
     made.appendChild(document.createElement("b")).textContent = fault;
-    made.append(` ${faultEffects[fault] || ""}`);
+    made.append(` ${effectOf(fault)}`);
     made.addEventListener("click", () => {
       faultMenu.hidePopover();
       tell(`inject ${JSON.stringify({fault, on})}`);
@@ -158,15 +159,18 @@ function actingList(acting, usable) {
     }));
   }
   acting.forEach((fault, i) => setText(list.children[i].lastChild,
-    ` ${fault.fault} on ${fault.on}, since ${Math.max(0, fault.since_s).toFixed(0)} s${fault.for_s && fault.for_s < 1e6 ? ` of ${fault.for_s} s` : ""}: ${faultEffects[fault.fault] || ""}`));
+    ` ${fault.fault} on ${fault.on}, since ${Math.max(0, fault.since_s).toFixed(0)} s${fault.for_s && fault.for_s < 1e6 ? ` of ${fault.for_s} s` : ""}: ${effectOf(fault.fault)}`));
   for (const button of [action("repair-all"), ...list.querySelectorAll("button")]) button.disabled = !usable;
 }
 
-// A new incident is open here: its cause and its checks are what one looks for.
-function openIncidents() {
-  for (const item of document.getElementById("incident-list").children) {
-    if (!item.dataset.opened && item.className !== "warning") item.firstChild.open = true;
-    item.dataset.opened = "yes";
+// Beside the bus the newest incident comes first, and is open when it comes.
+function busIncidents(all) {
+  if (!document.body.classList.contains("bus")) return incidents(all);
+  incidents([...all].sort((a, b) => b.t - a.t));
+  const newest = document.getElementById("incident-list").firstChild;
+  if (newest && newest.dataset.key !== newestIncident) {
+    newestIncident = newest.dataset.key;
+    for (const item of newest.parentElement.children) item.firstChild.open = item === newest;
   }
 }
 

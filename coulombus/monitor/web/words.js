@@ -35,8 +35,8 @@ function words(head) {
   if (head.refused) say("another page is in control; close it first", "busy");
   endWords(state, host);
   values(state.pdos);
-  incidents(state.incidents);
   bus(state, head.controls);
+  busIncidents(state.incidents);
   rows("pdos", state.pdos.flatMap(pdoRows));
   rows("nodes", state.nodes.flatMap(nodeRows));
   rows("events", state.events.slice().reverse().map(([t, said, grave]) => [grave ? "grave" : "", [[clockAt(t, host.tripped_s), ""], [said, ""]]]));
