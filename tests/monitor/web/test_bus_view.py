@@ -10,8 +10,11 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.
 
 
 from chromium import CHROMIUM, Browser
+from coulombus.cli.page_options import LOOPBACK, PageOptions, _fault_door
+from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.web.page import fault_of
 from coulombus.monitor.web.reader import FaultReader
+from coulombus.wire.address import BusUnavailable, parse_address
 from web_bench import BEGIN_NS, CONTRAST, MS, Door, Faults, answer_of, cycles, page, served, socket_of
 
 BREAK_BRAKE = 'inject {"fault": "power_off", "on": "brake"}'
@@ -80,10 +83,33 @@ def test_a_bus_without_simulated_nodes_has_no_faults():
     assert reader.state is None
 
 
-async def with_bus(tmp_path, use, faults, *, size=(1366, 768), dark=False, place="#bus"):
+@pytest.mark.parametrize(
+    ("bus", "host", "breaks"),
+    [
+        *(("coulombus:nowhere", LOOPBACK, True), ("coulombus:nowhere", "0.0.0.0", False)),
+        ("socketcan:can0", LOOPBACK, False),
+    ],
+)
+def test_only_a_virtual_bus_on_a_page_of_the_loopback_can_be_broken(bus, host, breaks):
+    door = _fault_door(parse_address(bus), PageOptions(True, 0, host))
+    assert (door is not None) == breaks
+    if door is not None:
+        with pytest.raises(BusUnavailable, match="no simulated node is on bus coulombus:nowhere"):
+            door.inject("power_off", "brake")
+
+
+def incident(number, begin_ms):
+    times = {"begin_ns": BEGIN_NS + begin_ms * MS, "end_ns": None}
+    return IncidentRow(
+        number, f"key-{number}", "unresolved", f"incident {number}", **times, cause="", sure="", checks=(), course=()
+    )
+
+
+async def with_bus(tmp_path, use, faults, *, size=(1366, 768), dark=False, place="#bus", incidents=()):
     """Serve a page whose bus goes on and can be broken, and look at it."""
     door = Door()
     shown = breakable(faults, door)
+    shown.incidents = lambda: incidents
     shown.capture.take(cycles(0, 400))
 
     async def ticking():
@@ -182,6 +208,22 @@ def test_the_bus_has_room_and_contrast(tmp_path, size, dark):
         assert [row for row in text if row[1] < row[2] or row[3] < 11 or row[4] < 1] == []
 
     asyncio.run(with_bus(tmp_path, use, faults, size=size, dark=dark))
+
+
+@pytest.mark.slow
+@in_a_browser
+def test_the_newest_incident_is_first_and_open_beside_the_bus(tmp_path):
+    incidents = [incident(1, 5), incident(2, 300)]
+    shown = "[...document.querySelectorAll('#incident-list > li')].map((e) => [e.dataset.key, e.firstChild.open])"
+
+    async def use(browser, door):
+        await browser.until("document.querySelector('#incident-list details[open]')")
+        assert await browser.evaluate(shown) == [["key-2", True], ["key-1", False]]
+        incidents.append(incident(3, 350))
+        await browser.until("document.querySelectorAll('#incident-list > li').length === 3")
+        assert await browser.evaluate(shown) == [["key-3", True], ["key-2", False], ["key-1", False]]
+
+    asyncio.run(with_bus(tmp_path, use, Faults(), incidents=incidents))
 
 
 @pytest.mark.slow
