@@ -166,7 +166,7 @@ def emulate(
                 rig, tuple(addresses.values()), record=record, force=overwrite, **settings[rig.channels[0]]
             )
 
-        with page.beside(chosen, address):
+        with page.beside(chosen, address, "bus"):
             run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)
 
 

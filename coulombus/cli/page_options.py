@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from coulombus.cli.rig_options import BusesOptions
+    from coulombus.monitor.web.page_state import FaultDoor
     from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
@@ -61,11 +62,14 @@ class PageOptions:
             raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
 
     @contextmanager
-    def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[Callable[[float], None]]:
+    def beside(
+        self, chosen: BusesOptions, address: BusAddress, view: str = "plots"
+    ) -> Iterator[Callable[[float], None]]:
         """Serve the page of a bus in a separate process during the block, if requested.
 
         The process always ends with this one; its errors do not affect this one. Its address is printed to stderr.
-        What is yielded waits for some seconds, in which the page is served.
+        What is yielded waits for some seconds, in which the page is served. `view` is what the page opens with: the
+        plots, or the bus.
         """
         if not self.web:
             yield lambda seconds: None
@@ -73,7 +77,7 @@ class PageOptions:
         words = ["--rig", chosen.rig_name, "--bus", str(address), "--web-host", self.web_host]
         words += ["--web-port", str(self.web_port), *([] if chosen.channel is None else ["--channel", chosen.channel])]
         words += repeated("--set", chosen.overrides)
-        command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
+        command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", view, *words]
         child = None
         try:
             child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr.fileno(), start_new_session=True)
@@ -136,14 +140,14 @@ def serve_page(
     rig_name: str,
     seconds: float | None,
     as_json: bool,
-    beside: bool,
+    beside: str | None,
 ) -> None:
     """Serve the page of a bus until a signal; its address is printed when it is ready.
 
     Parameters
     ----------
     rig_name : the rig's name on the command line
-    beside : another verb started this process, and holds the other end of stdin
+    beside : another verb started this process, and holds the other end of stdin; the view that the page opens with
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
     from coulombus.host.run.last_word import keep_page, last_word
@@ -171,13 +175,37 @@ def serve_page(
         start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),
     )
     serve(
-        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept)),
-        lambda url: _ready(url, as_json),
+        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept), _fault_door(address, page)),
+        lambda url: _ready(url + ("#bus" if beside == "bus" else ""), as_json),
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,
         parent=sys.stdin.fileno() if beside else None,
     )
+
+
+def _fault_door(address: BusAddress, page: PageOptions) -> FaultDoor | None:
+    """Return the faults of a virtual bus, for a page that only this machine can open."""
+    if not address.is_virtual or page.web_host not in (LOOPBACK, "localhost", "::1"):
+        return None
+    from coulombus.cli.fault_options import mark_host
+    from coulombus.monitor.web.page_state import FaultDoor
+    from coulombus.sim_bus.faults.fault_kinds import KINDS, effect_of
+    from coulombus.sim_bus.server.fault_socket import BusFaults
+
+    bus = BusFaults(address)
+
+    def inject(fault: str, where: str) -> str:
+        text = bus.inject(fault, where)
+        mark_host(address, [text])
+        return text
+
+    def clear(fault: str, where: str) -> str:
+        texts = bus.clear(fault, where)
+        mark_host(address, texts)
+        return ", ".join(texts) or "clear: nothing acts"
+
+    return FaultDoor(bus.state, inject, clear, {kind: effect_of(kind) for kind in KINDS})
 
 
 def serve_recording_page(

@@ -144,7 +144,12 @@ view_options = bundle(
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @view_options
 @page_options
-@click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
+@click.option(
+    "--beside",
+    type=click.Choice(("plots", "bus")),
+    hidden=True,
+    help="Another verb began this page, which opens with this view, and ends it.",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
     file: Path | None,
@@ -152,7 +157,7 @@ def watch(
     seconds: float | None,
     view: View,
     page: PageOptions,
-    beside: bool,
+    beside: str | None,
     as_json: bool,
 ) -> None:
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import struct
 import threading
 from contextlib import asynccontextmanager
 from typing import Any
 
+from tornado.httpclient import HTTPRequest
 from tornado.httpserver import HTTPServer
+from tornado.websocket import websocket_connect
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import Change, LiveParameters
 from coulombus.host.run.changes import Changes
 from coulombus.host.run.law_curve import law_curve
+from coulombus.monitor.web.batch import unpacked
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.last_page import LastPage
 from coulombus.monitor.web.page import Page, application
-from coulombus.monitor.web.page_state import HostDoor
+from coulombus.monitor.web.page_state import FaultDoor, HostDoor
 from coulombus.monitor.web.server import Server, listening
 from coulombus.rigs.rig import load_rig
 
@@ -41,6 +45,38 @@ STATUS = {
     "meta": {"subject": "S01", "trial": "7"},
     "display_s": 2.5,
 }
+
+CONTRAST = """(() => {
+  const channel = (c) => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const parse = (text) => (text.match(/[\\d.]+/g) || [0, 0, 0, 0]).map(Number);
+  const luminance = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const ratio = (one, other) => {
+    const [low, high] = [luminance(one), luminance(other)].sort((a, b) => a - b);
+    return (high + 0.05) / (low + 0.05);
+  };
+  const ground = (element) => {
+    for (let e = element; e; e = e.parentElement) {
+      const colour = parse(getComputedStyle(e).backgroundColor);
+      if (colour.length < 4 || colour[3] === 1) return colour;
+    }
+    return parse(getComputedStyle(document.documentElement).getPropertyValue("--ground"));
+  };
+  const found = [], seen = (e) => e.checkVisibility() && e.getClientRects().length;
+  for (const e of document.querySelectorAll("body *")) {
+    if (!seen(e)) continue;
+    const style = getComputedStyle(e), field = e.matches("input:not([type=range])");
+    const text = field || [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
+    const name = `${e.tagName} ${e.id || e.className || e.dataset.signal || e.dataset.action || ""}`;
+    if (text) found.push([name, ratio(parse(style.color), ground(e)), 4.5, parseFloat(style.fontSize), parseFloat(style.opacity)]);
+    if (e.matches("button") || field) {
+      found.push([name + " border", ratio(parse(style.borderTopColor), ground(e.parentElement)), 3, 12, 1]);
+    }
+  }
+  return found;
+})()"""
+"""Each visible text with the contrast to its ground, what WCAG 2.2 AA asks for, its size and
+opacity; each button's and field's border against what is around it (1.4.11).
+"""
 
 
 def cycles(first: int, count: int) -> list[tuple[int, int, int, bytes]]:
@@ -102,6 +138,39 @@ class Door:
         return {"mode": "hybrid", "cycles": 7, "trip": None}
 
 
+class Faults:
+    """The faults of a simulated bus with a motor and a brake, which are only noted."""
+
+    def __init__(self) -> None:
+        self.acting: list[tuple[str, str]] = []
+        effects = {"power_off": "The node has no supply.", "cut": "Cut the cable.", "noise": "Invert random bits."}
+        self.door = FaultDoor(self.state, self.inject, self.clear, effects)
+
+    def state(self) -> dict[str, Any]:
+        rows = [{"fault": fault, "on": on, "since_s": 1.5, "for_s": None} for fault, on in self.acting]
+        nodes = [
+            {
+                "name": name,
+                "node_id": k,
+                "powered": ("power_off", name) not in self.acting,
+                "faults": ["power_off", "cut"],
+            }
+            for k, name in enumerate(("motor", "brake"), 1)
+        ]
+        return {"bus": "coulombus:bench", "nodes": nodes, "wire": ["noise"], "acting": rows}
+
+    def inject(self, fault: str, where: str) -> str:
+        if fault not in self.door.effects:
+            raise OSError(f"there is no fault '{fault}'")
+        self.acting.append((fault, where))
+        return f"inject {fault} on {where}"
+
+    def clear(self, fault: str, where: str) -> str:
+        ended = [row for row in self.acting if fault in ("", row[0]) and where in ("", row[1])]
+        self.acting = [row for row in self.acting if row not in ended]
+        return ", ".join(f"clear {kind} on {on}" for kind, on in ended)
+
+
 def page(rig: str = "bench", door: Door | None = None) -> Page:
     """Return a page with nothing on its bus yet."""
     capture = LiveCapture(load_rig(rig))
@@ -110,6 +179,25 @@ def page(rig: str = "bench", door: Door | None = None) -> Page:
     found = Page(capture, door.door, TOKEN, lambda: FACTS, threading.Lock())
     found.host.tell(door.status())
     return found
+
+
+def origin(url):
+    return {"Origin": url.rpartition("/")[0].rpartition("/")[0]}
+
+
+async def socket_of(url, **headers):
+    return await websocket_connect(HTTPRequest(url.replace("http", "ws") + "data", headers=headers or origin(url)))
+
+
+async def answer_of(shown, connection, message, k):
+    """Send what a page says, and return the words that come back with the next state."""
+    await connection.write_message(message)
+    while not any(session.answers for session in shown.sessions):
+        await asyncio.sleep(0.001)
+    shown.tick(BEGIN_NS + 1000 * k * MS)
+    head, _ = unpacked(await connection.read_message())
+    await connection.write_message(f"took {head['n']}")
+    return head["answer"]
 
 
 @asynccontextmanager

@@ -90,7 +90,7 @@ document.getElementById("marks").replaceChildren(...[1, 2, 3, 4, 5, 6, 7, 8, 9].
   return made;
 }));
 
-const KEYS = {f: freeze, z: unzoom, "+": () => zoomTime(0.5), "=": () => zoomTime(0.5), "-": () => zoomTime(2),
+const KEYS = {b: toggleBus, f: freeze, z: unzoom, "+": () => zoomTime(0.5), "=": () => zoomTime(0.5), "-": () => zoomTime(2),
   ArrowLeft: () => panTime(-0.25), ArrowRight: () => panTime(0.25)};
 window.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
@@ -99,5 +99,5 @@ window.addEventListener("keydown", (event) => {
   if (typed || moves) return;
   if (/^[1-9]$/.test(event.key) && !event.repeat) tell(`mark ${event.key}`);
   const react = KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-  if (react && !(event.repeat && react === freeze)) react();
+  if (react && !(event.repeat && (react === freeze || react === toggleBus))) react();
 });

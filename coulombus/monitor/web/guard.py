@@ -106,7 +106,7 @@ class Static(Handler):
 
     OWN = (
         *("page.css", "elements.js", "stop.js", "data.js", "axes.js", "plots.js", "controls.js", "incidents.js"),
-        *("tip.js", "words.js", "page.js", "recording.css", "recording.js"),
+        *("tip.js", "bus.js", "bus.css", "words.js", "page.js", "recording.css", "recording.js"),
     )
 
     async def get(self, _: str, name: str) -> None:

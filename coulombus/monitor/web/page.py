@@ -5,11 +5,11 @@ All URLs begin with the token; others get 403. A request for another host gets 4
     GET  /TOKEN/            the page (?axis=NAME for a rig with several)
     GET  /TOKEN/static/F    its style and its scripts
     GET  /TOKEN/layout      plots and their signals
-    GET  /TOKEN/data        WebSocket: batches there (`monitor.web.batch`), "took N", "control", "set {...}" and
-                            "mark N" here
+    GET  /TOKEN/data        WebSocket: batches there (`monitor.web.batch`), "took N", "control", "set {...}",
+                            "mark N", "inject {...}" and "clear {...}" here
     POST /TOKEN/stop        a safe stop, as by ``coulombus stop``
 
-Nothing that a browser sends reaches the bus. The stop needs neither plots nor WebSocket.
+Nothing that a browser sends reaches the bus; faults reach simulated nodes only. The stop needs neither plots nor WebSocket.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from coulombus.monitor.web.batch import Flow, batch, layout
 from coulombus.monitor.web.capture import AFTER_NS, Curve, LiveCapture
 from coulombus.monitor.web.guard import FORBIDDEN, Guarded, Handler, Nothing, Static
 from coulombus.monitor.web.last_page import LastData, LastPage, packed
-from coulombus.monitor.web.page_state import HostDoor, HostView, document
+from coulombus.monitor.web.page_state import FaultDoor, HostDoor, HostView, document
 from coulombus.monitor.web.tip import tip_track
 from coulombus.rigs.axis import Axis
 
-__all__ = ["Page", "application", "order_of"]
+__all__ = ["Page", "application", "fault_of", "order_of"]
 
 STATE_S = 0.2
 GOODBYE_S = 1.0
@@ -91,6 +91,10 @@ class Page:
         """Tip of an arm; None for other rigs."""
         self.ring: Callable[[], tuple[tuple[float, ...], tuple[float, ...]] | None] = lambda: None
         """Force of an arm's law over the directions, x and y [N]."""
+        self.faults: FaultDoor | None = None
+        """The faults of a simulated bus."""
+        self.fault_state: Callable[[], Mapping[str, Any] | None] = lambda: None
+        """What can be broken, and what is; None: nothing can."""
         self.control = ControlLock()
         self.sessions: set[Data] = set()
         self.sockets: WeakSet[IOStream] = WeakSet()
@@ -127,7 +131,7 @@ class Page:
             self.tip.align(self.host.positions())
         snapshot: Snapshot = self.capture.snapshot(now_ns)
         state = document(self.capture, snapshot, self.facts(), self.host, self.incidents())
-        self._state = {**state, "start": self.door.start}
+        self._state = {**state, "start": self.door.start, "faults": self.fault_state()}
         self._version += 1
         self._keep_trip(now_ns)
 
@@ -157,8 +161,9 @@ class Page:
         return self.capture.rig.name
 
     def layout(self, name: str) -> dict[str, Any]:
-        """Return the plots of an axis, or of the first."""
-        return {"rows": layout(self.capture, self.axis(name)), "arm": self.tip is not None}
+        """Return the plots of an axis, or of the first, and the effects of faults."""
+        effects = {} if self.faults is None else dict(self.faults.effects)
+        return {"rows": layout(self.capture, self.axis(name)), "arm": self.tip is not None, "effects": effects}
 
     def message(self, axis: Axis, flow: Flow, more: dict[str, Any], trip_ns: int | None = None) -> bytes:
         """Return the next batch of a page on an axis, or that of a trip; law and ring come with a state or a trip."""
@@ -214,7 +219,7 @@ class Page:
         return {"ok": True, "text": "the host stopped safely"}
 
     async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
-        """Send the controlling page's change or marker to the host; the answer goes to that page as text."""
+        """Send the controlling page's change, marker or fault; the answer goes to that page as text."""
         if self.control.holder != session.number:
             session.answers.append(f"{what}: this page is viewing; take control first")
             return
@@ -318,6 +323,13 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         if order is not None:
             self._ask("not changed", lambda: self.page.door.change(order))
             return
+        fault = fault_of(text)
+        if fault is not None and self.page.faults is not None:
+            verb, *place = fault
+            faults = self.page.faults
+            act, refused = (faults.inject, "not broken") if verb == "inject" else (faults.clear, "not repaired")
+            self._ask(refused, lambda: {"marker": act(*place)})
+            return
         self.rubbish += 1
         if self.rubbish > RUBBISH:
             self.close(1008, "too many messages of no known form")
@@ -357,6 +369,22 @@ def order_of(message: str, axis: str) -> dict[str, Any] | None:
     if not isinstance(order, dict) or not order.keys() <= {"values", "undo", "key"}:
         return None
     return {**order, "axis": axis}
+
+
+def fault_of(message: str) -> tuple[str, str, str] | None:
+    """Return "inject" or "clear", fault and place of a page's message ``inject {...}`` or ``clear {...}``, or None."""
+    verb, _, content = message.partition(" ")
+    try:
+        fault = json.loads(content) if verb in ("inject", "clear") else None
+    except (ValueError, RecursionError):
+        return None
+    if (
+        not isinstance(fault, dict)
+        or fault.keys() != {"fault", "on"}
+        or not all(isinstance(v, str) for v in fault.values())
+    ):
+        return None
+    return verb, fault["fault"], fault["on"]
 
 
 def application(page: Page | LastPage) -> tornado.web.Application:

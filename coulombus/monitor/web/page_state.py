@@ -18,7 +18,7 @@ from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["HostDoor", "HostView", "arm_state", "document", "drive_words", "incident_dicts"]
+__all__ = ["FaultDoor", "HostDoor", "HostView", "arm_state", "document", "drive_words", "incident_dicts"]
 
 NMT_OPERATIONAL = STATES[NmtState.OPERATIONAL]
 ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
@@ -69,6 +69,24 @@ class HostDoor:
     ring: Callable[[Rig, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None] = (
         lambda rig, mode, live: None
     )
+
+
+@dataclass(frozen=True)
+class FaultDoor:
+    """Connection of the page to the faults of a simulated bus; all functions raise OSError or an error with a text.
+
+    Attributes
+    ----------
+    state : nodes with their possible faults, faults of the wire, and what acts
+    inject : begins a fault, by its kind, at a node or "bus"; returns its text
+    clear : ends the faults of a kind, at a place, or all (empty texts); returns a text
+    effects : effect of each kind of fault
+    """
+
+    state: Callable[[], Mapping[str, Any]]
+    inject: Callable[[str, str], str]
+    clear: Callable[[str, str], str]
+    effects: Mapping[str, str]
 
 
 KILLED = "it left no word: its process was killed, or its machine stopped"

@@ -4,7 +4,7 @@
 const SPAN_S = 10, RAW_S = 0.2, BEFORE_S = 0.5, AFTER_S = 0.2, ZOOM = 1.25, LEAST = 1e-4;
 const hidden = new Set();  // signals that are not drawn
 
-let plots = [];
+let plots = [], faultEffects = {};
 
 // The time axis of a group of plots, and how it is zoomed; null: all of it.
 const times = {envelope: {all: [-SPAN_S, 0], zoom: null}, raw: {all: [-RAW_S, 0], zoom: null}};
@@ -233,7 +233,8 @@ function envelopeLine(data, name) {
 async function makeLivePlots() {
   const answer = await fetch(`layout${location.search}`);
   if (!answer.ok) return;
-  const {rows, arm} = await answer.json(), made = [];
+  const {rows, arm, effects} = await answer.json(), made = [];
+  faultEffects = effects || {};
   readColours();
   rows.forEach((row, i) => {
     const names = row.signals.map((name, k) => [label(name, row.unit, row.title), `series-${k}`, name]), last = i === rows.length - 1;

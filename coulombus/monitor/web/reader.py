@@ -1,20 +1,21 @@
-"""Threads of the page's server besides `monitor.bus_reader`: one queries the host, one computes the law's curve."""
+"""Threads of the page's server besides `monitor.bus_reader`: they query the host and the faults, and compute the law's curve."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from coulombus.monitor.view_thread import ViewThread
 from coulombus.monitor.web.capture import Curve
-from coulombus.monitor.web.page_state import HostDoor, HostView
+from coulombus.monitor.web.page_state import FaultDoor, HostDoor, HostView
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["CurveReader", "HostReader"]
+__all__ = ["CurveReader", "FaultReader", "HostReader"]
 
 HOST_S = 0.2
+FAULTS_S = 0.2
 
 
 class HostReader(ViewThread):
@@ -38,6 +39,32 @@ class HostReader(ViewThread):
             return self._door.last()
         except Exception:  # must not end the page
             return None
+
+
+class FaultReader(ViewThread):
+    """Queries the faults of a simulated bus five times a second while `looked_at`.
+
+    Attributes
+    ----------
+    state : of a `FaultDoor`; None if no simulated node is on the bus
+    """
+
+    def __init__(self, door: FaultDoor | None, looked_at: Callable[[], bool]) -> None:
+        super().__init__("fault reader")
+        self._door, self._looked_at = door, looked_at
+        self.state: Mapping[str, Any] | None = None
+
+    def _run(self) -> None:
+        while self._door is not None and not self.stop.wait(FAULTS_S):
+            if self._looked_at():
+                self.read(self._door)
+
+    def read(self, door: FaultDoor) -> None:
+        """Query once."""
+        try:
+            self.state = door.state()
+        except Exception:  # no simulated node, or no answer: must not end the page
+            self.state = None
 
 
 class CurveReader(ViewThread):

@@ -24,8 +24,8 @@ from coulombus.monitor.web import WebError
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.last_page import LastPage
 from coulombus.monitor.web.page import Page, application
-from coulombus.monitor.web.page_state import HostDoor
-from coulombus.monitor.web.reader import CurveReader, HostReader
+from coulombus.monitor.web.page_state import FaultDoor, HostDoor
+from coulombus.monitor.web.reader import CurveReader, FaultReader, HostReader
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.adapter import open_bus
@@ -106,12 +106,13 @@ def _bound(host: str, port: int) -> socket.socket:
 
 @dataclass(frozen=True)
 class Shown:
-    """Content of a page: a rig, its bus, the connection to its host; and the access token."""
+    """Content of a page: a rig, its bus, the connections to its host and to its faults; and the access token."""
 
     rig: Rig
     address: BusAddress
     door: HostDoor
     token: str
+    faults: FaultDoor | None = None
 
 
 def serve(
@@ -186,7 +187,9 @@ async def _serve(
         page.curves = curves.curves
         page.ring = lambda: curves.ring
         page.incidents = lambda: incidents.rows
-        with reader, incidents, HostReader(shown.door, page.host, lock), curves:
+        faults = FaultReader(shown.faults, lambda: bool(page.sessions))
+        page.faults, page.fault_state = shown.faults, lambda: faults.state
+        with reader, incidents, HostReader(shown.door, page.host, lock), curves, faults:
             server.add_sockets(sockets)
             ready()
             due_s = loop.time()

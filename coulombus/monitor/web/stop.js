@@ -49,6 +49,7 @@ function answered({ok, text, tripped}) {
 }
 
 action("stop-form").addEventListener("submit", stop);
+// Escape closes the list of faults of a simulated bus first (`bus.js`).
 window.addEventListener("keydown", (event) => {
-  if (event.key === "Escape" && !event.repeat) stop(event);
+  if (event.key === "Escape" && !event.repeat && !document.body.classList.contains("choosing")) stop(event);
 }, true);

@@ -29,13 +29,14 @@ function words(head) {
     histogram(id, host.histograms[id], host.deadline_us);
   }
   if (head.answer) {
-    say(head.answer, /^(set|mark [0-9]$)/.test(head.answer) ? "good" : "bad");
-    if (/^(set|mark) /.test(head.answer)) setTimeout(() => one("said").textContent === head.answer && say(""), SAID_MS);
+    say(head.answer, /^(set|mark [0-9]$|inject|clear)/.test(head.answer) ? "good" : "bad");
+    if (/^(set|mark|inject|clear) /.test(head.answer)) setTimeout(() => one("said").textContent === head.answer && say(""), SAID_MS);
   }
   if (head.refused) say("another page is in control; close it first", "busy");
   endWords(state, host);
   values(state.pdos);
-  incidents(state.incidents);
+  bus(state, head.controls);
+  busIncidents(state.incidents);
   rows("pdos", state.pdos.flatMap(pdoRows));
   rows("nodes", state.nodes.flatMap(nodeRows));
   rows("events", state.events.slice().reverse().map(([t, said, grave]) => [grave ? "grave" : "", [[clockAt(t, host.tripped_s), ""], [said, ""]]]));

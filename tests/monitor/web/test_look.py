@@ -11,44 +11,12 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.
 
 from chromium import CHROMIUM, Browser
 from coulombus.recording.wall_clock import utc
-from web_bench import BEGIN_NS, MS, Door, cycles, page, served
+from web_bench import BEGIN_NS, CONTRAST, MS, Door, cycles, page, served
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)"),
 ]
-
-CONTRAST = """(() => {
-  const channel = (c) => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
-  const parse = (text) => (text.match(/[\\d.]+/g) || [0, 0, 0, 0]).map(Number);
-  const luminance = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
-  const ratio = (one, other) => {
-    const [low, high] = [luminance(one), luminance(other)].sort((a, b) => a - b);
-    return (high + 0.05) / (low + 0.05);
-  };
-  const ground = (element) => {
-    for (let e = element; e; e = e.parentElement) {
-      const colour = parse(getComputedStyle(e).backgroundColor);
-      if (colour.length < 4 || colour[3] === 1) return colour;
-    }
-    return parse(getComputedStyle(document.documentElement).getPropertyValue("--ground"));
-  };
-  const found = [], seen = (e) => e.checkVisibility() && e.getClientRects().length;
-  for (const e of document.querySelectorAll("body *")) {
-    if (!seen(e)) continue;
-    const style = getComputedStyle(e), field = e.matches("input:not([type=range])");
-    const text = field || [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
-    const name = `${e.tagName} ${e.id || e.className || e.dataset.signal || e.dataset.action || ""}`;
-    if (text) found.push([name, ratio(parse(style.color), ground(e)), 4.5, parseFloat(style.fontSize), parseFloat(style.opacity)]);
-    if (e.matches("button") || field) {
-      found.push([name + " border", ratio(parse(style.borderTopColor), ground(e.parentElement)), 3, 12, 1]);
-    }
-  }
-  return found;
-})()"""
-"""Each visible text with the contrast to its ground, what WCAG 2.2 AA asks for, its size and
-opacity; each button's and field's border against what is around it (1.4.11).
-"""
 
 
 async def with_page(tmp_path, use, *, size=(1280, 720), dark=False, door=None, rig="bench", status=None):

@@ -12,14 +12,14 @@ import pytest
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
-from tornado.websocket import WebSocketClosedError, websocket_connect
+from tornado.websocket import WebSocketClosedError
 
 from coulombus.host.run.arm_key import LOCK_NS, TRIES
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.batch import IN_FLIGHT, unpacked
 from coulombus.monitor.web.page import QUESTIONS, RUBBISH, order_of
 from coulombus.monitor.web.server import _last_word, listening
-from web_bench import BEGIN_NS, MS, Door, cycles, page, served
+from web_bench import BEGIN_NS, MS, Door, answer_of, cycles, origin, page, served, socket_of
 
 
 async def status(url, **options):
@@ -27,14 +27,6 @@ async def status(url, **options):
         return (await AsyncHTTPClient().fetch(HTTPRequest(url, **options))).code
     except HTTPClientError as error:
         return error.code
-
-
-def origin(url):
-    return {"Origin": url.rpartition("/")[0].rpartition("/")[0]}
-
-
-async def socket_of(url, **headers):
-    return await websocket_connect(HTTPRequest(url.replace("http", "ws") + "data", headers=headers or origin(url)))
 
 
 def test_all_is_forbidden_without_the_token():
@@ -185,17 +177,6 @@ def test_a_second_page_looks_on_until_the_first_has_gone():
             second.close()
 
     asyncio.run(run())
-
-
-async def answer_of(shown, connection, message, k):
-    """Send what a page says, and return the words that come back with the next state."""
-    await connection.write_message(message)
-    while not any(session.answers for session in shown.sessions):
-        await asyncio.sleep(0.001)
-    shown.tick(BEGIN_NS + 1000 * k * MS)
-    head, _ = unpacked(await connection.read_message())
-    await connection.write_message(f"took {head['n']}")
-    return head["answer"]
 
 
 def test_only_the_page_that_controls_changes_parameters_and_marks():
