@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 
 import pytest
@@ -41,8 +42,17 @@ def test_a_drive_whose_file_lacks_defaults_is_a_servo_that_may_turn(tmp_path, ca
     assert device.dictionary.number(0x1000) == 0x00020192
     assert device.dictionary.number(0x6072) == 1000
     assert device.record["supply_mV"] == 48_000
-    assert "1000h is without a default in the file" in capsys.readouterr().err
-    assert len(nodes.opened[0]) == 2
+    assert "without a default in the file, served with the drive's own: 1000h as 131474, 6072h as 1000" in (
+        capsys.readouterr().err
+    )
+    assert len(nodes.opened[0]) == 1
+
+
+def test_a_drive_alone_has_switches_where_a_homing_finds_them():
+    network = LiveNodes(((MOTOR, 1),)).make_world(1_000_000, True)
+    turn = network.plant[0].counts_rad * 2 * math.pi
+    low, home_from, home_to, high = network.devices[0].record["switch_counts"] / turn
+    assert (low, home_from, home_to, high) == pytest.approx((-1, 0.25, 0.5, 20))
 
 
 def test_a_generic_device_keeps_what_its_file_says(tmp_path):
@@ -119,8 +129,11 @@ class StoppedServer:
 
 def test_the_options_of_the_load_reach_the_nodes(monkeypatch):
     loads = []
-    monkeypatch.setattr("coulombus.sim_bus.server.live_nodes.run_nodes", lambda nodes, *_: loads.append(nodes.load))
+    monkeypatch.setattr(
+        "coulombus.sim_bus.server.live_nodes.run_nodes",
+        lambda nodes, *_: loads.append((nodes.load, nodes.kind)),
+    )
     words = [str(MOTOR), "--node-id", "1", "--bus", "coulombus:desk", "--inertia", "1e-3", "--friction", "0"]
     result = CliRunner().invoke(node_command, [*words, "--damping", "0.002", "--rated-torque", "2"])
     assert result.exit_code == 0, result.output
-    assert loads == [Load(1e-3, 0.0, 0.002, 2.0)]
+    assert loads == [(Load(1e-3, 0.0, 0.002, 2.0), "auto")]
