@@ -137,3 +137,29 @@ def test_the_options_of_the_load_reach_the_nodes(monkeypatch):
     result = CliRunner().invoke(node_command, [*words, "--damping", "0.002", "--rated-torque", "2"])
     assert result.exit_code == 0, result.output
     assert loads == [(Load(1e-3, 0.0, 0.002, 2.0), "auto")]
+
+
+def test_a_drive_alone_is_homed_here_and_at_its_limit_switch_and_goes_to_a_position():
+    servo = ROOT / "eds" / "servo.eds"
+    network = LiveNodes(((servo, 5),)).make_world(1_000_000, True)
+    network.power_on()
+    network.wait_ns(10_000_000)
+    node = network.canopen().add_node(5, str(servo))
+    node.nmt.state = "OPERATIONAL"
+    node.sdo[0x6060].raw = 6
+    for method, seconds, turns in ((35, 0.1, 0), (17, 5, -1)):
+        node.sdo[0x6098].raw = method
+        for word in (6, 7, 15, 31):
+            node.sdo[0x6040].raw = word
+        network.wait_ns(round(seconds * 1e9))
+        assert node.sdo[0x6041].raw & 0x3400 == 0x1400
+        record = network.devices[0].record
+        assert record["zero_counts"] == pytest.approx(turns * record["index_counts"], abs=2)
+        node.sdo[0x6040].raw = 15
+    node.sdo[0x6060].raw = 1
+    node.sdo[0x6081].raw, node.sdo[0x6083].raw, node.sdo[0x6084].raw = 40_000, 200_000, 200_000
+    node.sdo[0x607A].raw = -12_000
+    node.sdo[0x6040].raw = 31
+    network.wait_ns(round((12_000 / 40_000 + 40_000 / 200_000) * 1e9) + 20_000_000)
+    assert node.sdo[0x6041].raw & 0x3400 == 0x1400
+    assert node.sdo[0x6064].raw == pytest.approx(-12_000, abs=10)
