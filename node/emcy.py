@@ -49,12 +49,12 @@ class Cause(NamedTuple):
 
 
 RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY, CONNECTION = range(8)
-FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
+FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 17
 NO_INFO = constant(0)
 """Info of a cause without further data."""
 _NO_ERROR = constant(0x0000)
-OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE, FOLLOWING = range(8, 16)
-LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
+OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE, FOLLOWING, BLOCKED = range(8, 17)
+LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 17, 18, 19
 
 _CURRENT, _VOLTAGE, _TEMPERATURE, _COMMUNICATION, _PROFILE = 0x02, 0x04, 0x08, 0x10, 0x20
 
@@ -75,11 +75,12 @@ CAUSES: tuple[Cause, ...] = (
     Cause("supply low", 0x3120, _VOLTAGE, True),
     Cause("input or output hardware failed", 0x5000, 0, True),
     Cause("following error", 0x8611, _PROFILE, True),
+    Cause("motor blocked", 0x7121, _PROFILE, True),
     Cause("life guarding: no remote frame", 0x8130, _COMMUNICATION, True),
     Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),
     Cause("recovered from bus-off", 0x8140, _COMMUNICATION, True),
 )
-"""Causes by bit; bits 8 to 15 are device faults, bits 0-7 of the record's `in_faults`."""
+"""Causes by bit; bits 8 to 16 are device faults, bits 0-8 of the record's `in_faults`."""
 
 DEVICE_FAULTS = {
     "over_current": OVER_CURRENT,
@@ -93,7 +94,7 @@ DEVICE_FAULTS = {
 
 FAULT_MASK = sum(1 << i for i, cause in enumerate(CAUSES) if cause.fault)
 DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END))
-AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE | 1 << FOLLOWING)
+AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE | 1 << FOLLOWING | 1 << BLOCKED)
 """Faults that prevent a ramp to torque 0: of supply, power stage or encoder."""
 
 _CODE = np.array([cause.code for cause in CAUSES], np.int64)

@@ -77,6 +77,7 @@ _NO_TIME_NS = constant(0)
 HOMED = 5
 """Stage of the homing that has found the home position (`node.homing402`)."""
 _LONGEST_STEP_S = 0.01  # largest step of the integral, after a longer time without calls
+_STILL = 1.0  # speed below which the axis stands, in units of 606Ch
 
 
 @kernel
@@ -133,6 +134,7 @@ def stop(n: NodeRecord) -> None:
     n.integral_pm = 0.0
     n.feed_forward_pm = 0.0
     n.following_lost = 0
+    n.stalled_s = 0.0
     n.torque_demand_pm = 0.0
     n.out_torque_pm = 0.0
     n.values[slots402.TORQUE_DEMAND] = 0
@@ -259,7 +261,8 @@ def control_speed(n: NodeRecord, elapsed_ns: int) -> None:
     if not abs(error) < math.inf:  # the speed is not a number
         n.torque_demand_pm = n.integral_pm = n.speed_demand = 0.0
         return
-    change = n.speed_ki * error * min(elapsed_ns * 1e-9, _LONGEST_STEP_S)
+    elapsed_s = min(elapsed_ns * 1e-9, _LONGEST_STEP_S)
+    change = n.speed_ki * error * elapsed_s
     demand = n.speed_kp * error + n.integral_pm + change + n.feed_forward_pm
     if (demand > high and error > 0.0) or (demand < low and error < 0.0):
         n.limited = 1
@@ -268,6 +271,8 @@ def control_speed(n: NodeRecord, elapsed_ns: int) -> None:
     n.integral_pm = min(max(n.integral_pm, low), high)
     n.torque_demand_pm = min(max(demand, low), high)
     n.values[slots402.VELOCITY_DEMAND] = math.floor(n.speed_demand + 0.5)
+    stalled = abs(n.in_velocity_counts_s) < _STILL and demand != n.torque_demand_pm and n.torque_demand_pm != 0.0
+    n.stalled_s = n.stalled_s + elapsed_s if stalled else 0.0
 
 
 @kernel

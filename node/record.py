@@ -99,6 +99,7 @@ class DriveFields(Record):
     feed_forward_pm: float  # torque added to the velocity controller
     following_ns: int  # last time at which the following error was within 6065h
     following_lost: int  # 1: it has been larger for longer than 6066h
+    stalled_s: float  # duration of the torque limit at standstill, s
     period_ns: int  # time between cyclic set-points, 60C2h; 0: as measured
     cyclic_ns: int  # reception of the last cyclic set-point; -1: none
     # profile position: the active set-point, and the one that waits

@@ -14,6 +14,7 @@ from coulombus.eds.description import Description, Object, Variable
 from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import defaults, position_scale
 from coulombus.eds.own_devices import told_identity
+from coulombus.node import slots402
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, of_identity
 from coulombus.node.profile import Key, Profile
@@ -33,21 +34,30 @@ _RANGES: tuple[tuple[range, range, int, str], ...] = (
 """Objects of CiA 301: indices, sub-indices, the value that each must be able to hold, and its meaning."""
 
 _FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
-_BLOCKING: Mapping[Key, int] = {
-    (0x6072, 0): _THREE_TIMES,
-    (0x6073, 0): _THREE_TIMES,
-    (0x6080, 0): _FASTEST,
-    (0x6087, 0): 1_000_000,
-    (0x60E0, 0): _THREE_TIMES,
-    (0x60E1, 0): _THREE_TIMES,
+_BY_USER = (0x6060, 0x6502)
+_OF_THE_DRIVE: Mapping[Key, int] = {
+    row.key: row.absent for row in slots402.OBJECTS if row.absent and row.index > 0x5FFF and row.index not in _BY_USER
 }
-"""Objects that disable a drive while they are 0, and their replacement values."""
+"""Values of a drive whose file lacks the object."""
 
-_ABSENT: Mapping[Key, tuple[int, str]] = {
-    (0x1000, 0): (0x00020192, "tells no CiA 402 drive"),
-    (0x6072, 0): (1000, "would keep the drive from any torque"),
+_NO_TORQUE, _NO_MOTION = "would keep the drive from any torque", "would let it neither move nor arrive"
+_BLOCKING: Mapping[Key, tuple[int, str]] = {
+    **{(index, 0): (_THREE_TIMES, _NO_TORQUE) for index in (0x6072, 0x6073, 0x60E0, 0x60E1)},
+    (0x6080, 0): (_FASTEST, _NO_TORQUE),
+    (0x6087, 0): (1_000_000, _NO_TORQUE),
+    (0x6065, 0): (_FASTEST, "would make each deviation a fault"),
+    (0x6067, 0): (_FASTEST, _NO_MOTION),
+    **{
+        (index, subindex): (_OF_THE_DRIVE[index, subindex], _NO_MOTION)
+        for index, subindex in (
+            *((0x607F, 0), (0x6081, 0), (0x6083, 0), (0x6084, 0), (0x6085, 0)),
+            *((0x6099, 1), (0x6099, 2), (0x609A, 0)),
+        )
+    },
 }
-"""Objects of a drive without a rig whose default a file may lack: the value, and what 0 would mean."""
+"""Objects that disable a drive while they are 0, their replacement values, and why."""
+
+_SERVO = 0x00020192
 
 _POSITIONS = ((0x607D, 1), -_FARTHEST - 1), ((0x607D, 2), _FARTHEST)
 _MODES: tuple[tuple[int, int], ...] = (
@@ -88,18 +98,20 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
 
 
 def completed(description: Description, profile: Profile) -> Opened:
-    """Return the description of a drive without a rig, with the defaults that its file lacks: nobody else writes
-    them before it is used.
+    """Return the description of a drive without a rig, with the defaults that its file lacks: those of a drive
+    without these objects. Nobody else writes them before it is used.
     """
     changed: dict[Key, Variable] = {}
     remarks: list[str] = []
     if profile.behaviour is DRIVE402.behaviour:
-        for key, (value, why) in _ABSENT.items():
+        for key, value in {(0x1000, 0): _SERVO, **_OF_THE_DRIVE}.items():
             variable = _variable(description, key)
             if variable is not None and variable.default is None and not variable.unreadable:
                 changed[key] = _with(variable, value)
-                served = f"{value:08X}h" if key[0] == 0x1000 else str(changed[key].default)
-                remarks.append(_remark(description, _label(variable), _stands(variable), served, why))
+        labels = [f"{_label(variable)} as {variable.default!r}" for variable in changed.values()]
+        if labels:
+            text = "without a default in the file, served with the drive's own"
+            remarks.append(f"{description.path}: {text}: {', '.join(labels)}")
     return _changed(description, changed, remarks)
 
 
@@ -146,17 +158,15 @@ def _defaults(description: Description, changed: dict[Key, Variable], axis: int)
             f"{positions[0][0][0]:04X}h",
             "0 on both sides",
             "the whole range",
-            "would keep the drive from any torque",
+            _NO_TORQUE,
         )
-    for (index, subindex), value in _BLOCKING.items():
+    for (index, subindex), (value, why) in _BLOCKING.items():
         key = of_axis(index, axis), subindex
         variable = _variable(description, key)
         if variable is not None and not variable.default and not variable.node_relative:
             changed[key] = _with(variable, value)
             served = str(changed[key].default)
-            yield _remark(
-                description, _label(variable), _stands(variable), served, "would keep the drive from any torque"
-            )
+            yield _remark(description, _label(variable), _stands(variable), served, why)
     supported = of_axis(0x6502, axis), 0
     modes = _variable(description, supported)
     if modes is not None and not modes.default:

@@ -8,6 +8,7 @@ that waits for a SYNC. `why_still` is a function of the record; `StandstillWatch
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from coulombus.eds import cia402
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
 from coulombus.node import slots402
+from coulombus.node.motion402 import POSITION_MODES
 from coulombus.node.profile import Objects
 from coulombus.node.record import NodeRecord
 
@@ -115,9 +117,10 @@ def _enabled(n: NodeRecord, objects: Objects, holding_pm: float) -> Iterator[Rea
         yield from _no_setpoint(n, setpoint, target)
         yield from _no_slope(mode, values)
         yield from _at_limit(n, objects, target)
-    if n["out_torque_pm"] and abs(float(n["out_torque_pm"])) <= holding_pm:
+    holds = mode in POSITION_MODES and holding_pm < math.inf  # the little torque of a position control at its target
+    if not holds and n["out_torque_pm"] and abs(float(n["out_torque_pm"])) <= holding_pm:
         torque = f"its torque of {float(n['out_torque_pm']):.0f} per mille"
-        blocked = "the axis is blocked" if holding_pm == float("inf") else f"friction holds {holding_pm:.0f} per mille"
+        blocked = "the axis is blocked" if holding_pm == math.inf else f"friction holds {holding_pm:.0f} per mille"
         yield Reason("load", f"{torque} does not turn the load: {blocked}")
 
 

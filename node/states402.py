@@ -79,6 +79,8 @@ _NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
 )  # 6007h; 2 is "disable voltage", and so are values that are not allowed
 _STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
 _FOLLOWING_LOST = 1 << (emcy.FOLLOWING - emcy.FIRST_DEVICE_CAUSE)
+_BLOCKED = 1 << (emcy.BLOCKED - emcy.FIRST_DEVICE_CAUSE)
+_BLOCKED_S = 0.5  # at the torque limit at standstill
 _FAULT, _OFF = constant(PowerState.FAULT), constant(PowerState.SWITCH_ON_DISABLED)
 _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
 """Ramp by option code; 0: at once."""
@@ -138,8 +140,12 @@ def fault(n: NodeRecord, t_ns: int, at_once: int) -> None:
 
 @kernel
 def look(n: NodeRecord, t_ns: int) -> None:
-    """Detect a following error."""
-    n.detected = n.detected | _FOLLOWING_LOST if n.following_lost else n.detected & ~_FOLLOWING_LOST
+    """Detect a following error and a blocked motor."""
+    n.detected &= ~(_FOLLOWING_LOST | _BLOCKED)
+    if n.following_lost:
+        n.detected |= _FOLLOWING_LOST
+    if n.stalled_s >= _BLOCKED_S:
+        n.detected |= _BLOCKED
 
 
 @kernel
@@ -346,6 +352,6 @@ def next_deadline(n: NodeRecord, next_ns: int) -> int:
         next_ns = min(next_ns, n.setpoint_ns + age_ns)
     if n.slowing:
         next_ns = motion402.next_deadline(n, next_ns)
-    if n.detected & _FOLLOWING_LOST and not n.following_lost:
+    if (n.detected & _FOLLOWING_LOST and not n.following_lost) or (n.detected & _BLOCKED and n.stalled_s == 0.0):
         next_ns = min(next_ns, n.demand_ns)  # to release the cause
     return next_ns

@@ -179,10 +179,11 @@ served_options = bundle(
     click.option(
         "--kind",
         type=Kind(),
-        default=None,
+        default="auto",
+        show_default=True,
         help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
         "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
-        "and told.  [default: our own devices' files as what they describe, else generic]",
+        "and told.",
     ),
     click.option(
         "--store",
@@ -216,7 +217,7 @@ served_options = bundle(
         default=None,
         metavar="PLACES",
         help="Switches on a drive's axis, in counts from its power-on: negative=-20000,home=0:500,positive=20000 "
-        "(docs/devices.md).  [default: none]",
+        "(docs/devices.md).  [default: limits 1 turn below and 20 above, home from 1/4 to 1/2 turn]",
     ),
 )
 
@@ -261,7 +262,7 @@ def node_command(
 
     \b
     Examples:
-      coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
+      coulombus node vendor.eds --node-id 5 --bus coulombus:desk
       coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
       coulombus node drive.eds --node-id 5 --bus coulombus:desk --kind drive --inertia 1e-3 --friction 0.05
       coulombus node eds/servo.eds --node-id 5 --bus coulombus:desk --switches negative=-20000,positive=20000

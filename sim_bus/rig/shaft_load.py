@@ -24,7 +24,7 @@ from coulombus.rigs.plant import Operator, Plant
 from coulombus.sim_bus.rig.plant import plant_at_rest
 from coulombus.sim_bus.rig.records import PlantRecord
 
-__all__ = ["Load", "holding_pm"]
+__all__ = ["Load", "holding_pm", "switch_counts"]
 
 RATED_Nm, MOST_Nm = 1.0, 1e4
 RATED_rad_s = 2 * math.pi * 50
@@ -32,6 +32,7 @@ RISE_S = 0.1
 COULOMB, VISCOUS = 0.02, 0.05
 PEAK = 3.0
 LAG_S = 1e-3
+LOW_rev, HOME_rev, HIGH_rev = -1.0, (0.25, 0.5), 20.0
 STEP_S = 1e-4
 NOBODY = {"inertia_kg_m2": 0.0, "damping_Nms_rad": 0.0, "stiffness_Nm_rad": 0.0}
 
@@ -49,7 +50,7 @@ class Load:
         """Return the plant at rest, for the drive with these objects."""
         rated = min(objects.number(0x6076) * 1e-3, MOST_Nm) or RATED_Nm
         rated = rated if self.rated_torque_Nm is None else self.rated_torque_Nm
-        counts_rev = position_scale(lambda index, sub: objects.number(index, sub, 0)).counts_rev or COUNTS_REV
+        counts_rev = _counts_rev(objects)
         settings = {
             "step_s": STEP_S,
             "inertia_kg_m2": self.inertia_kg_m2 or rated * RISE_S / RATED_rad_s,
@@ -71,6 +72,18 @@ class Load:
         record = plant_at_rest(Plant.model_validate(settings), Operator.model_validate(NOBODY), 1.0)
         record["counts_rad"] = counts_rev / (2 * math.pi)  # of user units, which need not be a whole number
         return record
+
+
+def _counts_rev(objects: Objects) -> float:
+    return position_scale(lambda index, sub: objects.number(index, sub, 0)).counts_rev or COUNTS_REV
+
+
+def switch_counts(objects: Objects) -> tuple[float, float, float, float]:
+    """Return the places of the switches on the axis of a drive with these objects: negative limit, home from and
+    to, positive limit.
+    """
+    turn = _counts_rev(objects)
+    return LOW_rev * turn, HOME_rev[0] * turn, HOME_rev[1] * turn, HIGH_rev * turn
 
 
 def holding_pm(p: PlantRecord) -> float:

@@ -30,7 +30,7 @@ from coulombus.node.relaxed_eds import completed, opened
 from coulombus.node.standstill import Reason, StandstillWatch
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
-from coulombus.sim_bus.rig.shaft_load import Load, holding_pm
+from coulombus.sim_bus.rig.shaft_load import Load, holding_pm, switch_counts
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_command import PRIORITY, run_sim
 from coulombus.system.errors import CoulombusError
@@ -68,7 +68,8 @@ class LiveNodes:
     bit_rate : expected bit rate of the bus [bit/s]; 0: that of the DCFs, else 1 Mbit/s if it is
         served here
     node_ids : of the nodes
-    switches : places of the switches on the axes of drives, as in the record; None: no switches
+    switches : places of the switches on the axes of drives, as in the record; None: those of
+        the load
     """
 
     eds: Sequence[tuple[Path, int | None]]
@@ -212,6 +213,7 @@ class LiveNodes:
             self._check_kind(devices[-1])
             if self._has_load(profile):
                 network.attach_load(len(network.devices) - 1, self.load.plant(devices[-1].dictionary))
+                devices[-1].record["switch_counts"] = switch_counts(devices[-1].dictionary)
             if self.switches is not None:
                 devices[-1].record["switch_counts"] = self.switches
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
@@ -315,6 +317,8 @@ class LiveNodes:
 
 def _one_sided(description: Description, profile: Profile) -> Iterator[str]:
     """Yield a line if a module's file has no input, or no output, of its kind."""
+    if profile.behaviour is DRIVE402.behaviour:
+        return  # its measurements and its torque need no object
     for side, outputs in (("input", False), ("output", True)):
         rows = [row for row in profile.terminals if row.is_output == outputs]
         if rows and not any(description.has(*row.key) for row in rows):

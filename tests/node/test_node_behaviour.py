@@ -211,7 +211,9 @@ def test_an_alarm_is_told_and_reacted_to_by_kind(kind, cause, fault_option):
     assert n.causes == 1 << cause
     device = emcy.FIRST_DEVICE_CAUSE <= cause < emcy.DEVICE_CAUSES_END
     if kind == KIND_DRIVE:
-        at_once = cause == emcy.SUPPLY or (device and cause not in (emcy.OVER_TEMPERATURE, emcy.FOLLOWING))
+        at_once = cause == emcy.SUPPLY or (
+            device and cause not in (emcy.OVER_TEMPERATURE, emcy.FOLLOWING, emcy.BLOCKED)
+        )
         faulty = emcy.CAUSES[cause].fault
         ramps = faulty and fault_option == 1 and not at_once
         assert n.power_state == (6 if ramps else FAULT if faulty else OE)
@@ -252,7 +254,7 @@ def test_a_lost_supply_is_a_fault_of_a_drive_that_is_switched_on_and_goes_with_i
 
 
 @KINDS
-@pytest.mark.parametrize("bit", range(8))
+@pytest.mark.parametrize("bit", range(9))
 @pytest.mark.parametrize("source", ["in_faults", "detected"])
 def test_each_fault_of_the_device_comes_once_and_goes(kind, bit, source):
     node = Node(kind)
@@ -264,11 +266,12 @@ def test_each_fault_of_the_device_comes_once_and_goes(kind, bit, source):
         n.cooled_degC = -math.inf
     for told in ([emcy.CAUSES[cause].code], []):
         n.following_lost = int(cause == emcy.FOLLOWING and source == "detected")
+        n.stalled_s = float(cause == emcy.BLOCKED and source == "detected")
         node.call(reactions.inputs)
         assert node.codes() == told
         assert n.causes == 1 << cause
     setattr(n, source, 0)
-    n.detected = n.following_lost = 0
+    n.detected = n.following_lost = n.stalled_s = 0
     node.call(reactions.inputs)
     assert n.causes == 0
     held = kind == KIND_DRIVE and emcy.CAUSES[cause].fault  # until its reset

@@ -237,7 +237,7 @@ def test_the_position_window_and_its_time():
     assert expected + 29 <= servo.until(REACHED) <= expected + 32
     servo.move(101)
     servo.control(ENABLE)
-    servo.run(500)
+    servo.run(200)
     assert not servo.word & REACHED
     servo.write(0x6067, 0xFFFFFFFF)  # off
     servo.run(50)
@@ -267,6 +267,24 @@ def test_a_blocked_axis_is_a_following_error_with_8611h_and_a_fault():
     servo.enable()
     servo.run(100)
     assert servo.position == pytest.approx(-40, abs=3)  # it holds, and does not go on
+
+
+def test_a_blocked_axis_without_a_following_window_is_7121h_after_half_a_second():
+    servo = ready(-40)
+    servo.write(0x6065, 0xFFFFFFFF)
+    servo.blocked = True
+    servo.bench.emcy()
+    servo.move(-500_000)
+    servo.run(490)
+    assert servo.word & 0x6F == 0x27
+    servo.run(400)
+    assert servo.word & 0x4F == 0x08
+    assert servo.bench.emcy() == [(0x7121, 0x21, 0)]
+    assert servo.node.out_torque_pm == 0
+    servo.blocked = False
+    servo.control(0x80)
+    assert servo.word & 0x4F == 0x40
+    assert servo.bench.emcy() == [(0, 0, 0)]
 
 
 def test_the_fault_reaction_slows_the_axis_down():

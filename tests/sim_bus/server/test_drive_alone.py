@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 
 import pytest
@@ -41,8 +42,17 @@ def test_a_drive_whose_file_lacks_defaults_is_a_servo_that_may_turn(tmp_path, ca
     assert device.dictionary.number(0x1000) == 0x00020192
     assert device.dictionary.number(0x6072) == 1000
     assert device.record["supply_mV"] == 48_000
-    assert "1000h is without a default in the file" in capsys.readouterr().err
-    assert len(nodes.opened[0]) == 2
+    assert "without a default in the file, served with the drive's own: 1000h as 131474, 6072h as 1000" in (
+        capsys.readouterr().err
+    )
+    assert len(nodes.opened[0]) == 1
+
+
+def test_a_drive_alone_has_switches_where_a_homing_finds_them():
+    network = LiveNodes(((MOTOR, 1),)).make_world(1_000_000, True)
+    turn = network.plant[0].counts_rad * 2 * math.pi
+    low, home_from, home_to, high = network.devices[0].record["switch_counts"] / turn
+    assert (low, home_from, home_to, high) == pytest.approx((-1, 0.25, 0.5, 20))
 
 
 def test_a_generic_device_keeps_what_its_file_says(tmp_path):
@@ -119,8 +129,37 @@ class StoppedServer:
 
 def test_the_options_of_the_load_reach_the_nodes(monkeypatch):
     loads = []
-    monkeypatch.setattr("coulombus.sim_bus.server.live_nodes.run_nodes", lambda nodes, *_: loads.append(nodes.load))
+    monkeypatch.setattr(
+        "coulombus.sim_bus.server.live_nodes.run_nodes",
+        lambda nodes, *_: loads.append((nodes.load, nodes.kind)),
+    )
     words = [str(MOTOR), "--node-id", "1", "--bus", "coulombus:desk", "--inertia", "1e-3", "--friction", "0"]
     result = CliRunner().invoke(node_command, [*words, "--damping", "0.002", "--rated-torque", "2"])
     assert result.exit_code == 0, result.output
-    assert loads == [Load(1e-3, 0.0, 0.002, 2.0)]
+    assert loads == [(Load(1e-3, 0.0, 0.002, 2.0), "auto")]
+
+
+def test_a_drive_alone_is_homed_here_and_at_its_limit_switch_and_goes_to_a_position():
+    servo = ROOT / "eds" / "servo.eds"
+    network = LiveNodes(((servo, 5),)).make_world(1_000_000, True)
+    network.power_on()
+    network.wait_ns(10_000_000)
+    node = network.canopen().add_node(5, str(servo))
+    node.nmt.state = "OPERATIONAL"
+    node.sdo[0x6060].raw = 6
+    for method, seconds, turns in ((35, 0.1, 0), (17, 5, -1)):
+        node.sdo[0x6098].raw = method
+        for word in (6, 7, 15, 31):
+            node.sdo[0x6040].raw = word
+        network.wait_ns(round(seconds * 1e9))
+        assert node.sdo[0x6041].raw & 0x3400 == 0x1400
+        record = network.devices[0].record
+        assert record["zero_counts"] == pytest.approx(turns * record["index_counts"], abs=2)
+        node.sdo[0x6040].raw = 15
+    node.sdo[0x6060].raw = 1
+    node.sdo[0x6081].raw, node.sdo[0x6083].raw, node.sdo[0x6084].raw = 40_000, 200_000, 200_000
+    node.sdo[0x607A].raw = -12_000
+    node.sdo[0x6040].raw = 31
+    network.wait_ns(round((12_000 / 40_000 + 40_000 / 200_000) * 1e9) + 20_000_000)
+    assert node.sdo[0x6041].raw & 0x3400 == 0x1400
+    assert node.sdo[0x6064].raw == pytest.approx(-12_000, abs=10)
