@@ -71,7 +71,7 @@ is measured.
 """
 REVERSAL_SHARE = 0.025
 """Share of the sweep's half travel after a reversal in which a bearing's bristles may bend."""
-SAMPLED_SHARE = 0.025
+SAMPLED_SHARE = 0.02
 """Relative 95 % error of the cogging's amplitude: the motor's torque is known at the samples alone, and the
 sweep's control changes it between them.
 """
