@@ -193,6 +193,15 @@ def test_a_fault_that_is_over_is_not_cleared_and_leaves_no_row():
     assert int(network.bus[0].fault_count) == 0
 
 
+@pytest.mark.parametrize(("fault", "where", "left"), [("noise", "", "drop"), ("", "bus", "noise")])
+def test_clear_ends_the_faults_of_a_kind_or_a_place_only(fault, where, left):
+    _, _, faults = a_node()
+    faults.inject("noise", "5", None, {})
+    faults.inject("drop", "bus", None, {})
+    assert len(faults.clear(fault, where)) == 1
+    assert [row["fault"] for row in faults.state()["acting"]] == [left]
+
+
 def test_a_fault_of_frames_lasts_until_it_is_cleared():
     network, _, faults = a_node()
     assert faults.inject("drop", "bus", None, {}) == "inject drop on bus"
