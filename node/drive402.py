@@ -143,9 +143,10 @@ def _gains(record: NodeRecord) -> tuple[float, float, float]:
     """Return the gains for the load: proportional and integral of the speed control, and Kp of the position
     control.
     """
-    load = float(record["load_counts_s2"]) / float(record["unit_counts_s"])
+    unit = float(record["unit_counts_s"])
+    load = float(record["load_counts_s2"]) / unit
     if not load:
-        return 0.015, 0.3, 20.0
+        return 0.015 * unit, 0.3 * unit, 20.0
     return _SPEED_RAD_S / load, _SPEED_RAD_S**2 / load / 5, _SPEED_RAD_S / 5
 
 

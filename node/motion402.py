@@ -50,6 +50,7 @@ __all__ = [
     "put_out",
     "stop",
     "target_bits",
+    "velocity",
 ]
 
 _VELOCITY, _TORQUE = cia402.OPERATION_MODE_PROFILE_VELOCITY, cia402.OPERATION_MODE_PROFILE_TORQUE
@@ -77,7 +78,7 @@ _NO_TIME_NS = constant(0)
 HOMED = 5
 """Stage of the homing that has found the home position (`node.homing402`)."""
 _LONGEST_STEP_S = 0.01  # largest step of the integral, after a longer time without calls
-_STILL = 1.0  # speed below which the axis stands, in units of 606Ch
+_STILL = 1.0  # speed below which the axis stands, counts/s
 
 
 @kernel
@@ -90,6 +91,13 @@ def is_speed_mode(mode: int) -> bool:
 def is_position_mode(n: NodeRecord) -> bool:
     """Whether the active mode controls the position."""
     return n.mode in POSITION_MODES and n.mode != n.vendor_mode
+
+
+@kernel
+def velocity(n: NodeRecord) -> float:
+    """Return the velocity in units of 606Ch, which 60A9h gives."""
+    value: float = n.in_velocity_counts_s / n.unit_counts_s
+    return value
 
 
 @kernel
@@ -147,7 +155,7 @@ def enter(n: NodeRecord, t_ns: int) -> None:
     n.slowing = 0
     _hold(n, t_ns)
     n.integral_pm = 0.0
-    n.speed_demand = n.in_velocity_counts_s
+    n.speed_demand = velocity(n)
     n.demand_ns = n.off_target_ns = n.moving_ns = t_ns
 
 
@@ -180,7 +188,7 @@ def _take_mode(n: NodeRecord, t_ns: int) -> None:
     stop(n)
     if n.power_state == _ENABLED:
         n.setpoint_stale = 1
-        n.speed_demand = n.in_velocity_counts_s
+        n.speed_demand = velocity(n)
         _hold(n, t_ns)
 
 
@@ -205,7 +213,7 @@ def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
     n.demand_ns = t_ns
     n.feed_forward_pm = 0.0
     if is_position_mode(n):
-        n.speed_demand = n.in_velocity_counts_s
+        n.speed_demand = velocity(n)
     _slow_down(n, t_ns, _NO_TIME_NS)
 
 
@@ -257,7 +265,7 @@ def put_out(n: NodeRecord) -> None:
 def control_speed(n: NodeRecord, elapsed_ns: int) -> None:
     """Compute the PI control of `speed_demand`, with the torque feed-forward."""
     high, low = float(high_limit(n)), float(low_limit(n))
-    error = n.speed_demand - n.in_velocity_counts_s
+    error = n.speed_demand - velocity(n)
     if not abs(error) < math.inf:  # the speed is not a number
         n.torque_demand_pm = n.integral_pm = n.speed_demand = 0.0
         return
@@ -282,7 +290,7 @@ def _speed_target(n: NodeRecord) -> float:
     target = float(values[slots402.TARGET_VELOCITY])
     if n.mode == _CSV:
         target += values[slots402.VELOCITY_OFFSET]
-    fastest = min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s)
+    fastest = min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s / n.unit_counts_s)
     clipped: float = min(max(target, -fastest), fastest)
     if n.guarded:
         beyond = _beyond(n)
@@ -351,7 +359,7 @@ def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     n.limited = 0
     if n.power_state != _ENABLED or n.in_supply_ok == 0 or n.setpoint_stale or n.mode == 0:
         stop(n)
-        n.speed_demand = n.in_velocity_counts_s
+        n.speed_demand = velocity(n)
         return
     if n.mode == n.vendor_mode:
         _vendor_torque(n)
@@ -373,7 +381,7 @@ def target_bits(n: NodeRecord) -> int:
         return _SPEED_ZERO if not n.slowing and not n.controlword & _HALT else 0  # here: "follows the command"
     if n.mode != _VELOCITY:
         return 0
-    bits, t_ns, speed = 0, n.demand_ns, n.in_velocity_counts_s
+    bits, t_ns, speed = 0, n.demand_ns, velocity(n)
     target = 0 if n.controlword & _HALT else values[slots402.TARGET_VELOCITY]
     if abs(speed - target) > values[slots402.VELOCITY_WINDOW]:
         n.off_target_ns = t_ns

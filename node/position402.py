@@ -38,7 +38,7 @@ _SHORTEST_NS, _LONGEST_NS = 1_000_000, 100_000_000  # of a measured time between
 @kernel
 def fastest(n: NodeRecord) -> float:
     """Return the largest speed allowed, counts/s: 607Fh, 6080h."""
-    speed: float = min(float(n.values[slots402.MAX_VELOCITY]), n.speed_max_counts_s) * n.unit_counts_s
+    speed: float = min(float(n.values[slots402.MAX_VELOCITY]) * n.unit_counts_s, n.speed_max_counts_s)
     return speed
 
 
@@ -227,7 +227,7 @@ def control(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     window = values[slots402.POSITION_WINDOW]
     away = window != slots402.NO_WINDOW and abs(n.target_counts - n.in_position_counts) > window
     if n.halted:
-        away = abs(n.in_velocity_counts_s) > values[slots402.VELOCITY_THRESHOLD]
+        away = abs(motion402.velocity(n)) > values[slots402.VELOCITY_THRESHOLD]
     if away or n.waiting or t_ns < n.profile_end_ns:
         n.off_target_ns = t_ns
 

@@ -344,6 +344,7 @@ def new_nodes(n: int) -> RecordArray[NodeRecord]:
     nodes["time_set_ns"] = -1
     nodes["outbox_next_ns"] = FAR_FUTURE_NS
     nodes["station"] = np.arange(n)
+    nodes["unit_counts_s"] = 1.0
     nodes["switch_counts"] = -np.inf, np.inf, np.inf, np.inf
     nodes["rpdo"]["cob_id"] = nodes["tpdo"]["cob_id"] = -1
     return nodes

@@ -307,6 +307,8 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
         or n.controlword & _HALT
     ):
         target = 0
+    if n.guarded and n.sync_armed == 0:
+        n.ramping = 1  # nothing else looks at 607Dh and 6080h
     n.torque_demand_pm = n.out_torque_pm = float(target)
     values[slots402.TORQUE_DEMAND] = target
 
@@ -319,7 +321,7 @@ def sample(n: NodeRecord) -> None:
     values[slots402.POSITION] = values[slots402.POSITION_DEMAND] = position
     values[slots402.INTERNAL_POSITION] = position
     position_bits = servo402.serve(n, servo402.SAMPLE, 0, 0) if n.servo else 0
-    values[slots402.VELOCITY] = servo402.to_int32(n.in_velocity_counts_s)
+    values[slots402.VELOCITY] = servo402.to_int32(motion402.velocity(n))
     values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
     values[slots402.TORQUE_ACTUAL] = min(max(servo402.to_int32(n.in_torque_pm), -32768), 32767)
     values[slots402.CURRENT_ACTUAL] = values[slots402.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque

@@ -234,6 +234,9 @@ def test_velocities_in_revolutions_per_minute():
     assert servo.demand == pytest.approx(81_920 * 0.05**2 / 2, rel=0.01)
     assert float(servo.node.profile_speed) == pytest.approx(4096, rel=0.01)
     assert float(servo.node.speed_demand) >= 30
+    servo.node.in_velocity_counts_s = 4096.0
+    servo.bench.run(MS)
+    assert servo.read(0x606C) == 30
 
 
 def test_homing_stays_after_a_change_of_the_mode_and_ends_with_reset():
