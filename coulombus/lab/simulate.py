@@ -249,20 +249,21 @@ def _on_bus(
     if channel is not None:
         run = replace(run, outputs=run.outputs.on(channel))
     truth, force = run.outputs.truth, run.outputs.force
-    if truth is not None:  # check before the run that it can be written
-        _create(truth, force=force)
     course = VirtualCourse(run, channel, progress)
     world = course.world
     try:
         plan = events.faults_on(channel)
         if plan is not None:
-            mark = course.mark if course.recorder or course.measured else None
+            mark = course.mark if run.outputs.record is not None or course.measured else None
             course.injection = Injection(world, plan, run.seed, mark)
         for begin in (on_world, events.script):
             if begin is not None:
                 begin(world)
         if stop_ns is not None:
             world.at(stop_ns, lambda _: world.ask_to_stop(Trip.OTHER_AXIS))
+        if truth is not None:  # check before the run that it can be written
+            _create(truth, force=force)
+        course.begin_recording(run)  # after all that may be refused
         course.course(run.seconds or 0.0)
     except BaseException:  # refused, or interrupted: the recording stays readable
         course.close()

@@ -74,15 +74,18 @@ class VirtualCourse(Course):
         shows = progress is not None or outputs.record is not None
         self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # heat flows in the steps of a recorded run
         self.measured = MeasuredFrames(rig) if measured else None
-        self.recorder = begin_recording(run, self.world.controllers)
-        if self.recorder is not None:
-            self.world.on_host = self._write_host
-            self.world.keep_told()
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.outside = None if run.world is None else VirtualWorld(run.world.function, run.world_every)
         self.injection: Injection | None = None
         self.ended_ns = 0
         """Time of the host's end, after its safe state."""
+
+    def begin_recording(self, run: Run) -> None:
+        """Create the recording, if the run has one; an old one is overwritten only now."""
+        self.recorder = begin_recording(run, self.world.controllers)
+        if self.recorder is not None:
+            self.world.on_host = self._write_host
+            self.world.keep_told()
 
     def _write(self, frames: Records) -> None:
         if self.measured is not None:

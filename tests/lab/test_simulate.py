@@ -18,6 +18,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.faults.fault_file import FaultError
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import data_bytes
@@ -210,3 +211,13 @@ def test_plain_python_gives_the_same_bytes_as_the_compiled_kernels(tmp_path):
 def test_on_the_papers_rig_the_gain_is_1_before_the_hand_pushes(tmp_path):
     told = simulate("paper", "active", 2.1, record=tmp_path / "paper.pcapng").as_dict()
     assert 0.5 < told["full_gain_s"] < 2.0  # the first phase is a rest of 2 s
+
+
+def test_a_fault_of_no_node_is_refused_before_an_old_recording_is_overwritten(tmp_path):
+    record, truth, faults = tmp_path / "r.pcapng", tmp_path / "t.npz", tmp_path / "faults.toml"
+    record.write_bytes(b"old")
+    truth.write_bytes(b"old")
+    faults.write_text('[[fault]]\nkind = "babble"\nnode = "nobody"\ncan_id = 100\n')
+    with pytest.raises(FaultError, match="there is no node 'nobody'"):
+        simulate("bench", "hybrid", 0.1, record=record, truth=truth, faults=faults, force=True)
+    assert (record.read_bytes(), truth.read_bytes()) == (b"old", b"old")
