@@ -139,8 +139,7 @@ class ServedBus:
         ValueError
             no such kind, or the file lacks its objects; the node id is taken
         """
-        profile = named(kind) if kind not in (None, "auto") else kind
-        nodes = LiveNodes(((eds, node_id),), profile)  # type: ignore[arg-type]  # a kind's name is a profile now
+        nodes = LiveNodes(((eds, node_id),), "auto" if kind in (None, "auto") else named(kind))
         warm_up(nodes.make_world(self._server.bit_rate, True))
 
         def switch_on() -> Device:
