@@ -27,6 +27,7 @@ __all__ = [
     "NEGATIVE",
     "POSITIVE",
     "axis_position",
+    "digital_inputs",
     "inputs",
     "look_at_probes",
     "new_probe_function",
@@ -82,6 +83,19 @@ def inputs(n: NodeRecord, position: float) -> int:
     if n.switch_counts[_HOME_FROM] <= position <= n.switch_counts[_HOME_TO]:
         bits |= HOME
     return bits
+
+
+@kernel
+def digital_inputs(n: NodeRecord, position: float) -> int:
+    """Return 60FDh at a position: the bits of the placed switches; the other bits are as they were."""
+    places = n.switch_counts
+    placed = NEGATIVE if places[_LOW] > -math.inf else 0
+    if places[_HIGH] < math.inf:
+        placed |= POSITIVE
+    if places[_HOME_FROM] < math.inf:
+        placed |= HOME
+    present: int = n.values[slots402.DIGITAL_INPUTS]
+    return present & ~placed | inputs(n, position)
 
 
 @kernel

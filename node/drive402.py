@@ -57,7 +57,7 @@ _SETPOINTS: Mapping[int, Key] = {
     cia402.OPERATION_MODE_CST: _TARGET_TORQUE,
 }
 """Set-point of each mode; the homing method of mode 6."""
-_AXIS: tuple[Key, ...] = ((0x607B, 1), (0x60B8, 0), (0x60FD, 0))
+_AXIS: tuple[Key, ...] = ((0x607B, 1), (0x60B8, 0))
 _SPEED_RAD_S = 300.0
 """Bandwidth of the speed control of a drive that knows its load."""
 COUNTS_REV = 8192.0
@@ -156,10 +156,12 @@ def _modes(objects: Objects) -> int:
     return sum(1 << mode - 1 for mode, key in _SETPOINTS.items() if supported >> mode - 1 & 1 and key in objects)
 
 
-def _is_servo(objects: Objects) -> bool:
-    """Tell whether the drive offers a position mode, or has an object of the axis."""
+def _is_servo(record: NodeRecord, objects: Objects) -> bool:
+    """Tell whether the drive offers a position mode, has an object of the axis, or switches and 60FDh."""
     offered = _modes(objects)
-    return any(offered >> mode - 1 & 1 for mode in motion402.POSITION_MODES) or any(key in objects for key in _AXIS)
+    if any(offered >> mode - 1 & 1 for mode in motion402.POSITION_MODES) or any(key in objects for key in _AXIS):
+        return True
+    return (0x60FD, 0) in objects and any(math.isfinite(place) for place in record["switch_counts"])
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
@@ -167,7 +169,7 @@ def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     record["modes"] = _modes(objects)
-    record["servo"] = servo402.servo_address() if _is_servo(objects) else 0
+    record["servo"] = servo402.servo_address() if _is_servo(record, objects) else 0
     _scale(record, objects)
     states402.start(record, t_ns)
 

@@ -82,7 +82,7 @@ def _sample(n: NodeRecord, controls: bool) -> int:
     values = n.values
     position = float(n.in_position_counts)
     values[slots402.POSITION] = axis402.user_position(n, position)
-    values[slots402.DIGITAL_INPUTS] = axis402.inputs(n, position)
+    values[slots402.DIGITAL_INPUTS] = axis402.digital_inputs(n, position)
     demand = n.position_demand if controls else position
     values[slots402.POSITION_DEMAND] = axis402.user_position(n, demand)
     values[slots402.FOLLOWING_ERROR] = to_int32(demand - position)

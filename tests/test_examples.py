@@ -117,3 +117,11 @@ def test_on_the_elastic_rig_hybrid_holds_still_with_damping_alone():
     assert (swings.trip, damped.trip) == (None, None)
     assert swings.hold_counts_p2p > 100
     assert damped.hold_counts_p2p == 0
+
+
+def test_servo_motions(run, tmp_path):
+    out = run("servo_motions.py", str(ROOT / "eds" / "servo.eds"))
+    differences = [float(line.rpartition(" ")[2]) for line in out.splitlines()]
+    assert len(differences) == 3
+    assert differences[0] <= 20  # counts; the speed's step and the sine's begin have no bounded acceleration
+    assert (tmp_path / "servo-motions.png").read_bytes().startswith(b"\x89PNG")

@@ -516,7 +516,18 @@ def test_live_devices_without_node_ids_get_them_and_are_found(private_sockets, t
     for serial in (7, 0xF0000008):
         files.append(tmp_path / f"{serial}.eds")
         files[-1].write_text(eds("motor", vendor=0x77, serial=serial).text)
-    words = [*map(str, files), "--node-id", "255", "--node-id", "255", "--bus", "coulombus:desk", "--json"]
+    words = [
+        *map(str, files),
+        "--node-id",
+        "255",
+        "--node-id",
+        "255",
+        "--bus",
+        "coulombus:desk",
+        "--json",
+        "--kind",
+        "generic",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-m", "coulombus", "node", *words],
         cwd=ROOT,

@@ -57,6 +57,8 @@ ENDS = {
     "measure": ("measure --bus coulombus:none", 4),
     "commission": ("commission --rig NONE.toml --virtual --yes", 3),
     "commission list": ("commission --list", 0),
+    "inject": ("inject noise --on bus --bus coulombus:none", 4),
+    "clear": ("clear --bus coulombus:none", 4),
     "plan": ("plan --rig bench --bitrate 125000", 1),
     "plan ok": ("plan --rig bench --json", 0),
     "explain": ("explain RECORDING", 0),

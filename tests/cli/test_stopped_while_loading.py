@@ -76,7 +76,7 @@ def ended(words, module, number=signal.SIGINT, act="kill()"):
         (("check",), "pydantic"),
         (("plan",), "numpy"),
         (("simulate",), "numba"),
-        (("simulate",), "canopen"),
+        (("simulate",), "coulombus.sim_bus.network.network"),
         (("simulate",), "coulombus.lab.simulate"),
         (("run", "--bus", "coulombus:none"), "coulombus.host.run.real_run"),
         (("scan", "--bus", "coulombus:none"), "coulombus.host.devices.scan"),

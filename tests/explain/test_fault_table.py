@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
 
 from benchmarks.explain_truths import explained
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
+from coulombus.sim_bus.faults.fault_file import faults_of
 from coulombus.sim_bus.faults.fault_kinds import KINDS
 from coulombus.sim_bus.faults.live_faults import plan_of
 from places import ROOT
@@ -25,9 +25,8 @@ def test_the_table_has_each_fault_and_a_reason_where_none_is_named():
 
 @pytest.mark.parametrize(("fault", "place", "incident"), [row[:3] for row in ROWS])
 def test_explain_names_it(fault, place, incident, tmp_path):
-    plan = plan_of(fault, place, None, {})
-    late = plan.file.fault[0].model_copy(update={"after": "enabled", "at_s": AT_S})
-    plan = replace(plan, file=plan.file.model_copy(update={"fault": [late]}))
+    text = plan_of(fault, place, None, {}).text
+    plan = faults_of(f'{text.rstrip()}\nafter = "enabled"\nat_s = {AT_S}\n', "late.toml")
     path = tmp_path / "run.pcapng"
     result = simulate("bench", "hybrid", AT_S + WITHIN_S + 0.2, record=path, seed=1, faults=plan)
     recording = read(path)

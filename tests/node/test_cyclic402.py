@@ -249,7 +249,7 @@ def test_homing_stays_after_a_change_of_the_mode_and_ends_with_reset():
     assert servo.read(0x6064) == 50
 
 
-POSITION_MODES, AXIS = (0x607A, 0x6098, 0x60C1), (0x607B, 0x60B8, 0x60FD)
+POSITION_MODES, AXIS = (0x607A, 0x6098, 0x60C1), (0x607B, 0x60B8)
 
 
 @pytest.mark.parametrize("present", AXIS)
@@ -260,6 +260,12 @@ def test_a_drive_without_position_modes_has_the_servo_part_for_an_object_of_the_
         servo.write(0x607B, 0, subindex=1)
         servo.write(0x607B, 99, subindex=2)
         assert servo.read(0x6064) == 70
+
+
+def test_the_digital_inputs_of_no_switch_are_the_users():
+    servo = Servo(HOMING, position=50)
+    servo.bench.device[0x60FD, 0] = 0x10005
+    assert servo.read(0x60FD) == 0x10005
 
 
 def test_a_drive_with_none_of_them_has_no_servo_part():
