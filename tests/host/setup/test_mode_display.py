@@ -11,7 +11,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import DeviceMismatch, SdoAborted
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.host.setup.device_plan import NOT_SHOWN
-from coulombus.node import states402
+from coulombus.node import drive402
 from coulombus.rigs.rig import load_rig_text
 from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
 from foreign_eds import BRAKE, MOTOR, another, edited, without
@@ -80,7 +80,7 @@ def test_a_wrong_display_is_acknowledged_by_name(monkeypatch):
 
 def test_a_drive_that_aborts_the_mode_is_refused_with_its_name(monkeypatch):
     world = world_of(OFFERS)
-    monkeypatch.setattr(states402, "MODES", (1, 4, 8, 9))
+    monkeypatch.setattr(drive402, "_modes", lambda objects: 0x189)  # 1, 4, 8, 9
     with pytest.raises(
         SdoAborted, match=r"it refuses mode 10 \(cyclic synchronous torque\); 6502h .*4 \(profile torque\)"
     ):
