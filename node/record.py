@@ -86,10 +86,10 @@ class DriveFields(Record):
     # position profile (node.trapezoid) and position control (node.position402)
     profile_ns: int  # start of the profile
     profile_end_ns: int  # its end
-    profile_from: float  # position and speed at its start
-    profile_from_speed: float
-    profile_to: float  # position and speed at its end
-    profile_to_speed: float
+    profile_from: float  # position at its start
+    profile_from_speed: float  # speed at its start, counts/s
+    profile_to: float  # position at its end
+    profile_to_speed: float  # speed at its end, counts/s
     stretch_s: Annotated[FloatField, 4]  # duration of each stretch
     stretch_a: Annotated[FloatField, 4]  # its acceleration, counts/s^2
     position_demand: float  # demand now, counts
@@ -110,10 +110,10 @@ class DriveFields(Record):
     halted: int  # 1: halt acts
     waiting: int  # 1: a set-point waits
     waiting_counts: float  # its target
-    waiting_speed: float  # its profile speed, acceleration and deceleration
-    waiting_up: float
-    waiting_down: float
-    waiting_limited: int
+    waiting_speed: float  # its profile speed, counts/s
+    waiting_up: float  # its acceleration, counts/s^2
+    waiting_down: float  # its deceleration, counts/s^2
+    waiting_limited: int  # 1: 607Dh limits its target
     # homing (node.homing402)
     homing: int  # a `homing402` stage
     homing_ns: int  # start of the homing

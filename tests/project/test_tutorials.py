@@ -88,5 +88,6 @@ def test_every_tutorial_is_followed():
     found = {path.name for path in TUTORIALS.iterdir()}
     assert found == {
         *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "study.md", "can-tour.md", "own-device.md"),
+        "break-a-bus.md",
         *(*NOTEBOOKS, "my-machine-stopped.md", "plane.md"),
     }
