@@ -68,6 +68,7 @@ def test_every_example_is_run():
         "own_law.py",
         "fault_script.py",
         "release.py",
+        "servo_motions.py",
         "two_axes.py",
         "virtual_network.py",
         "own_device.py",  # tests/sim_bus/server/test_own_device.py
