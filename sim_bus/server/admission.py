@@ -6,7 +6,6 @@ import errno
 import os
 import select
 import socket
-import struct
 import time
 from contextlib import ExitStack, suppress
 
@@ -20,6 +19,7 @@ from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOTS, STATION, Clients, SlotState
 from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
 from coulombus.sim_bus.server.sim_result import SimResult
+from coulombus.sim_bus.server.socket_file import peer
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello
@@ -30,7 +30,7 @@ __all__ = ["Admission"]
 LOSERS_TOLD = 20
 MUTE_S = 2.0
 """Longest time for a client's greeting if others wait for its slot."""
-SO_SNDBUFFORCE, SO_PEERCRED = 32, 17
+SO_SNDBUFFORCE = 32
 
 
 class Admission:
@@ -166,8 +166,7 @@ class Admission:
         self.slots[i]["fd"], self.slots[i]["state"] = client.fileno(), state
         self._boxes[i]["overflow"] = 0
         if state is SlotState.GREETING:
-            credentials = client.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i"))
-            self._pids[i] = struct.unpack("3i", credentials)[0]
+            self._pids[i] = peer(client).pid
 
     def greeted(self, i: int) -> None:
         """Answer a greeting, the first or a later one.

@@ -11,7 +11,6 @@ import json
 import os
 import select
 import socket
-import struct
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future
@@ -21,25 +20,17 @@ from typing import Any
 
 from coulombus.sim_bus.faults.live_faults import BUS, FaultRefused, LiveFaults, NodeUnknown
 from coulombus.sim_bus.server.server import BusServer
-from coulombus.sim_bus.server.socket_file import locked, unlink_own
+from coulombus.sim_bus.server.socket_file import locked, peer, unlink_own
 from coulombus.system.exit import say
 from coulombus.wire.address import FAULTS_SUFFIX, BusAddress, BusUnavailable, bus_names, socket_names, socket_path
 
 __all__ = ["BusFaults", "FaultSocket", "fault_buses", "fault_sockets"]
 
-SO_PEERCRED = 17
 MESSAGE_BYTES = 1 << 18
 PATIENCE_S = 5.0
 LOOK_S = 0.1
 """Interval at which the strikes of acting faults are passed to the recording."""
 BACKLOG = 8
-
-
-def peer_uid(connection: socket.socket) -> int:
-    """Return the user of the process at the other end."""
-    credentials = connection.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i"))
-    uid: int = struct.unpack("3i", credentials)[1]
-    return uid
 
 
 class FaultSocket:
@@ -91,8 +82,8 @@ class FaultSocket:
     def _answer(self, connection: socket.socket) -> dict[str, Any]:
         """Read a request, and return its answer."""
         message = connection.recv(MESSAGE_BYTES)
-        if peer_uid(connection) != os.geteuid():
-            text = f"bus {self._address} belongs to user {os.geteuid()}, and takes no fault from user {peer_uid(connection)}"
+        if (uid := peer(connection).uid) != os.geteuid():
+            text = f"bus {self._address} belongs to user {os.geteuid()}, and takes no fault from user {uid}"
             return {"error": text, "exit_status": BusUnavailable.exit_status}
         try:
             request = json.loads(message)

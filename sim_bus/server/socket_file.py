@@ -1,12 +1,13 @@
-"""Socket file of a virtual bus: its owner, its creation and its removal."""
+"""Socket file of a virtual bus: its owner, its creation and its removal, and who connects to it."""
 
 from __future__ import annotations
 
 import os
 import socket
+import struct
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from coulombus.system.file_lock import lock_file
 from coulombus.wire.address import BusAddress, BusUnavailable
@@ -14,7 +15,23 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["locked", "refuse_live", "unlink_own"]
+__all__ = ["Peer", "locked", "peer", "refuse_live", "unlink_own"]
+
+SO_PEERCRED = 17
+_CREDENTIALS = struct.Struct("3i")
+
+
+class Peer(NamedTuple):
+    """The process at the other end of a connection, as it was when it connected."""
+
+    pid: int
+    uid: int
+    gid: int
+
+
+def peer(connection: socket.socket) -> Peer:
+    """Return the process at the other end, by Linux's ``struct ucred``."""
+    return Peer(*_CREDENTIALS.unpack(connection.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, _CREDENTIALS.size)))
 
 
 @contextmanager

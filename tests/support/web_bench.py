@@ -211,3 +211,23 @@ async def served(page: Page | LastPage, port: int = 0):
     finally:
         server.stop()
         await server.close_all_connections()
+
+
+@asynccontextmanager
+async def going_on(shown: Page, status: Any):
+    """Let 33 ms of cycles come each 33 ms, with the host's status that `status` returns."""
+
+    async def ticking() -> None:
+        k = 400
+        while True:
+            with shown.lock:
+                shown.capture.take(cycles(k, 33))
+                shown.host.tell(status())
+            k += 33
+            shown.tick(BEGIN_NS + k * MS)
+            await asyncio.sleep(0.033)
+
+    shown.capture.take(cycles(0, 400))
+    task = asyncio.create_task(ticking())
+    yield
+    task.cancel()

@@ -15,7 +15,7 @@ from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.web.page import fault_of
 from coulombus.monitor.web.reader import FaultReader
 from coulombus.wire.address import BusUnavailable, parse_address
-from web_bench import BEGIN_NS, CONTRAST, MS, Door, Faults, answer_of, cycles, page, served, socket_of
+from web_bench import BEGIN_NS, CONTRAST, MS, Door, Faults, answer_of, going_on, page, served, socket_of
 
 BREAK_BRAKE = 'inject {"fault": "power_off", "on": "brake"}'
 in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)")
@@ -110,25 +110,14 @@ async def with_bus(tmp_path, use, faults, *, size=(1366, 768), dark=False, place
     door = Door()
     shown = breakable(faults, door)
     shown.incidents = lambda: incidents
-    shown.capture.take(cycles(0, 400))
-
-    async def ticking():
-        k = 400
-        while True:
-            with shown.lock:
-                shown.capture.take(cycles(k, 33))
-                shown.host.tell(door.status())
-            k += 33
-            shown.tick(BEGIN_NS + k * MS)
-            await asyncio.sleep(0.033)
-
-    async with served(shown) as url:
-        task = asyncio.create_task(ticking())
-        async with Browser(url + place, str(tmp_path / "profile"), size, dark) as browser:
-            await browser.until("!action('bus').hidden && frames > 3")
-            await use(browser, door)
-            assert browser.errors == []
-        task.cancel()
+    async with (
+        served(shown) as url,
+        going_on(shown, door.status),
+        Browser(url + place, str(tmp_path / "profile"), size, dark) as browser,
+    ):
+        await browser.until("!action('bus').hidden && frames > 3")
+        await use(browser, door)
+        assert browser.errors == []
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.
 
 from chromium import CHROMIUM, Browser
 from coulombus.recording.wall_clock import utc
-from web_bench import BEGIN_NS, CONTRAST, MS, Door, cycles, page, served
+from web_bench import BEGIN_NS, CONTRAST, MS, Door, going_on, page, served
 
 pytestmark = [
     pytest.mark.slow,
@@ -23,25 +23,14 @@ async def with_page(tmp_path, use, *, size=(1280, 720), dark=False, door=None, r
     """Serve a page whose bus goes on, and let `use` look at it in a browser."""
     door = door or Door()
     shown = page(rig, door)
-    shown.capture.take(cycles(0, 400))
-
-    async def ticking():
-        k = 400
-        while True:
-            with shown.lock:
-                shown.capture.take(cycles(k, 33))
-                shown.host.tell(door.status() | (status or {}))
-            k += 33
-            shown.tick(BEGIN_NS + k * MS)
-            await asyncio.sleep(0.033)
-
-    async with served(shown) as url:
-        task = asyncio.create_task(ticking())
-        async with Browser(url, str(tmp_path / "profile"), size, dark) as browser:
-            await browser.until("plots.length === 7 && action('set:F_s_Nm') && frames > 3")
-            await use(browser, shown)
-            assert browser.errors == []
-        task.cancel()
+    async with (
+        served(shown) as url,
+        going_on(shown, lambda: door.status() | (status or {})),
+        Browser(url, str(tmp_path / "profile"), size, dark) as browser,
+    ):
+        await browser.until("plots.length === 7 && action('set:F_s_Nm') && frames > 3")
+        await use(browser, shown)
+        assert browser.errors == []
 
 
 @pytest.mark.parametrize("dark", [False, True])

@@ -23,6 +23,7 @@ from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server import fault_socket
 from coulombus.sim_bus.server.fault_socket import BusFaults, fault_buses, fault_sockets
 from coulombus.sim_bus.server.rig_server import SimServer
+from coulombus.sim_bus.server.socket_file import Peer
 from coulombus.wire.address import BusUnavailable, parse_address
 from places import EDS
 
@@ -279,6 +280,6 @@ def test_a_bus_may_be_called_like_a_process_of_another(private_sockets, tmp_path
 @pytest.mark.real_time
 @pytest.mark.patient
 def test_another_user_is_refused(private_sockets, tmp_path, monkeypatch):
-    monkeypatch.setattr(fault_socket, "peer_uid", lambda connection: 12345)
+    monkeypatch.setattr(fault_socket, "peer", lambda connection: Peer(1, 12345, 0))
     with served(tmp_path / "bus.pcapng"), pytest.raises(BusUnavailable, match="takes no fault from user 12345"):
         BusFaults(BENCH).state()
