@@ -1,6 +1,6 @@
 """Compiled end of a frame on the detailed path, or of a bit-level simulation.
 
-It writes the reports to the log, and sets the next state of the senders.
+It writes the reports, and sets the next state of the senders.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_sent,
 )
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, FaultKind, fire, plan_alarm
-from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
 from coulombus.wire.controller_state import Confinement
-from coulombus.wire.frame import Queue, Records
+from coulombus.wire.frame import Queue
 
-__all__ = ["MOST_ROWS", "end_attempt", "lose"]
+__all__ = ["end_attempt", "lose"]
 
-MOST_ROWS = 16
-"""Largest number of log rows for the end of a frame."""
+_LAST = MOST_ROWS - 2
+"""First row of the reports that is reserved for an error and the frame."""
 
 _TOLD = tuple(
     map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
@@ -55,9 +55,9 @@ def _once_more(bus: BusRecord) -> None:
 
 
 @kernel
-def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: int) -> None:
-    frame = log[row]
-    frame.t_ns = t_ns
+def _write(bus: BusRecord, row: int, can_id: int, word: int, source: int) -> None:
+    frame = bus.report[row]
+    frame.t_ns = bus.end_ns
     frame.can_id = can_id
     frame.length = 8
     frame.word = word
@@ -65,7 +65,7 @@ def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: in
 
 
 @kernel
-def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
+def _tell_given_up(bus: BusRecord, row: int) -> int:
     """Write the bit in which each one-shot sender lost the arbitration.
 
     Return the next row.
@@ -76,11 +76,11 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
         c = bus.stations[source & STATION_MASK]
         if bus.tx[k].state != FrameFate.LOST or not c.one_shot:
             continue
-        if row == last:
+        if row == _LAST:
             bus.seen.gave_up = 1
         else:
             can_id, word = lost_frame(c, source, bus.tx[k].lost_bit)
-            _write(log, row, bus.end_ns, can_id, word, source)
+            _write(bus, row, can_id, word, source)
             row += 1
             bus.tx[k].state = FrameFate.GIVEN_UP
             c.dropped += 1
@@ -88,15 +88,15 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
 
 
 @inlined
-def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) -> int:
+def _tell_states(bus: BusRecord, out: Queue, row: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
         c = bus.stations[station]
-        if c.changed == 0 or row >= last:
+        if c.changed == 0 or row >= _LAST:
             continue
         can_id, word = state_frame(c, station)
-        _write(log, row, bus.end_ns, can_id, word, number(station))
+        _write(bus, row, can_id, word, number(station))
         row += 1
         if c.recovered:
             c.confinement = Confinement.RECOVERED
@@ -193,20 +193,19 @@ def _tell_stuck(bus: BusRecord) -> None:
 
 
 @inlined
-def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
+def _tell_error(bus: BusRecord, row: int) -> None:
     """Write the first error of this simulation."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
-    _write(log, row, bus.end_ns, can_id, word, number(seen.source))
+    _write(bus, row, can_id, word, number(seen.source))
     bus.errors += 1
 
 
 @inlined
-def _deliver(bus: BusRecord, log: Records, row: int) -> None:
+def _deliver(bus: BusRecord, row: int) -> None:
     """Write the bus's frame for its receivers; the faults that it has triggered are due."""
-    _write(log, row, bus.end_ns, bus.can_id, bus.word, bus.source)
-    log[row].length = bus.length
-    bus.partial_row = row
+    _write(bus, row, bus.can_id, bus.word, bus.source)
+    bus.report[row].length = bus.length
     bus.delivered = Delivered.HEARERS
     bus.fault_calls |= bus.fault_due
     bus.fault_due = 0
@@ -221,10 +220,10 @@ def _play_on(bus: BusRecord) -> None:
 
 
 @kernel
-def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
+def end_attempt(bus: BusRecord, out: Queue) -> int:
     """End a frame, or a bit-level simulation, at `end_ns`.
 
-    Return the number of log rows written; the last is the frame's.
+    Return the number of rows of `BusRecord.report` written; the last is the frame's.
     """
     bus.delivered = Delivered.NOBODY
     if bus.stage == Stage.TOLD:
@@ -232,31 +231,30 @@ def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
         return 0
     if bus.stuck.from_ns < bus.end_ns:
         _tell_stuck(bus)
-    first = row
-    last = min(row + MOST_ROWS, log.shape[0]) - 2
+    row = 0
     slowly = bus.stage >= Stage.PLAYED
     if bus.stage == Stage.WATCHED:
         _settle(bus)
     if slowly and bus.seen.gave_up:
-        row = _tell_given_up(bus, log, row, last)
-    row = _tell_states(bus, out, log, row, last)
+        row = _tell_given_up(bus, row)
+    row = _tell_states(bus, out, row)
     if slowly and bus.seen.tell:
-        _tell_error(bus, log, row)
+        _tell_error(bus, row)
         row += 1
     if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
-        _deliver(bus, log, row)
+        _deliver(bus, row)
         row += 1
     if slowly and bus.seen.gave_up:  # the last bit has more events: the next end, at the same time, reports them
         bus.play.passed = bus.seen.tell = 0
-        return row - first
+        return row
     if bus.stage == Stage.PLAYED:
         bus.stage = Stage.TOLD
-        return row - first
+        return row
     bus.stage = Stage.FREE
     if slowly:
         _end_slow(bus)
-    if slowly or row - first > 1:
+    if slowly or row > 1:
         plan_alarm(bus, bus.end_ns)
     if bus.fault_count == 0 or bus.limited:
         refresh(bus)
-    return row - first
+    return row
