@@ -1,4 +1,8 @@
-"""Knowledge of a bus while its frames are read: nodes, NMT commands, objects, PDO maps."""
+"""Knowledge of a bus while its frames are read: nodes, NMT commands, objects, PDO maps.
+
+`recording.maps.log_maps` learns maps, too, and keeps them through a node's boot-up, so that its signals go on.
+Here such a map is unknown until it is seen again: an explanation says no more than the frames until then show.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,13 @@ from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
+from coulombus.eds.sdo_frames import where
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import NEVER, REMOTE, SYNC, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
-from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of
+from coulombus.recording.maps.known_bus import KnownBus
+from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of, maps_of_rig
 
 __all__ = ["Bus", "Order", "Silence", "product"]
 
@@ -32,6 +38,20 @@ TARGET = {
 NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = map(int, (CobId.NMT, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT, CobId.EMCY))
 PDOS, RPDOS = range(CobId.TPDO1, CobId.SDO_TX), range(CobId.RPDO1, CobId.SDO_TX)
 """Identifiers of PDOs, and those among which a usual RPDO's is."""
+NAMES = {
+    0x1000: "device type", 0x1001: "error register", 0x1003: "error history", 0x1005: "COB-ID SYNC",
+    0x1006: "communication cycle period", 0x1010: "store parameters", 0x1011: "restore parameters",
+    0x1014: "COB-ID EMCY", 0x1016: "consumer heartbeat time", 0x1017: "producer heartbeat time",
+    0x1018: "identity", 0x1029: "error behaviour", 0x603F: "error code", 0x6040: "controlword",
+    0x6041: "statusword", 0x6060: "modes of operation", 0x6061: "modes of operation display",
+    0x6064: "position actual value", 0x6071: "target torque", 0x6072: "max torque", 0x607A: "target position",
+    0x60FF: "target velocity", 0x6502: "supported drive modes",
+    **{index: f"RPDO{index - 0x13FF} parameters" for index in range(0x1400, 0x1408)},
+    **{index: f"RPDO{index - 0x15FF} map" for index in range(0x1600, 0x1608)},
+    **{index: f"TPDO{index - 0x17FF} parameters" for index in range(0x1800, 0x1808)},
+    **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
+}  # fmt: skip
+"""Names of objects of CiA 301 and 402, for nodes without an EDS file."""
 TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
 
 
@@ -62,29 +82,22 @@ class Bus:
 
     Parameters
     ----------
-    descriptions
-        EDS files by node id.
-    fixed
-        PDO maps of a rig, by identifier.
-    names
-        Names of nodes from a rig or EDS files.
-    candidates
-        EDS files to be matched with nodes by identity (1018h).
-    of_rig
-        EDS files of the rig's nodes, used for names only: `fixed` has the maps.
+    known
+        Names and PDO maps of a rig, and EDS files.
     """
 
-    def __init__(
-        self,
-        descriptions: dict[int, Description],
-        fixed: dict[int, Map],
-        names: dict[int, str],
-        candidates: tuple[Description, ...] = (),
-        of_rig: dict[int, Description] | None = None,
-    ) -> None:
-        self.of_rig = dict(of_rig or {})
+    def __init__(self, known: KnownBus) -> None:
+        rig = known.rig
+        self.descriptions = dict(known.eds.of_nodes)
+        self.candidates = known.eds.candidates
+        """EDS files to be matched with nodes by identity (1018h)."""
+        self.of_rig = {} if rig is None else {node.node_id: node.description for node in rig.nodes}
+        """EDS files of the rig's nodes, used for names only: `fixed` has the maps."""
+        self.fixed = {} if rig is None else maps_of_rig(rig)
+        """PDO maps of the rig, by identifier."""
+        self.names = {} if rig is None else {node.node_id: node.name for node in rig.nodes}
+        self.names |= {number: product(description) for number, description in self.descriptions.items()}
         self.others: list[int] = []  # nodes of the log that are not those of the rig
-        self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, SeenNode] = {}
         self.contradicted: set[int] = set()
@@ -94,8 +107,7 @@ class Bus:
         self.first_of: dict[int, int] = {}
         """Time [ns] of the first frame of each key."""
         self.orders: list[Order] = []
-        self.descriptions, self.fixed, self.names = descriptions, fixed, names
-        self.maps: dict[int, Map] = dict(fixed)
+        self.maps: dict[int, Map] = dict(self.fixed)
         self.first_ns = self.last_ns = -1
         self.frames = 0
         self.counts: dict[int, int] = {}
@@ -126,9 +138,9 @@ class Bus:
         """Times [ns] within which two nodes produce SYNC, as known."""
         self.silences: list[Silence] = []
         """Silences of the host."""
-        self.bitrate = 0
+        self.bitrate = 0 if rig is None else rig.axes[0].bus.bitrate_bit_s
         """Bit rate [bit/s] of the rig; 0: unknown."""
-        self.host = -1
+        self.host = -1 if rig is None else rig.host.node_id
         """The host's node id, if its heartbeat is known, else -1."""
         self.powered: list[tuple[int, int]] = []
         """Number of drives in Operation Enabled, from each time [ns] of a change."""
@@ -327,6 +339,14 @@ class Bus:
     def describe(self, number: int) -> Description | None:
         """Return the EDS file of a node, or None."""
         return self.descriptions.get(number) or self.of_rig.get(number)
+
+    def object_text(self, number: int, index: int, subindex: int) -> str:
+        """Return an object of a node as ``6041h:00 (statusword)``."""
+        description = self.describe(number)
+        name = NAMES.get(index, "")
+        if description is not None and description.has(index, subindex):
+            name = description.variable(index, subindex).name
+        return where(index, subindex) + (f" ({name})" if name else "")
 
     def _compare(self, number: int, identity: tuple[int, int]) -> None:
         """Remove the rig's names from a node that is not the rig's device."""

@@ -1,21 +1,23 @@
-"""SDO transfers: who did not answer, who did not wait, what was refused, and what is wrong (CiA 301, 7.2.4)."""
+"""SDO transfers: who did not answer, who did not wait, what was refused, and what is wrong (CiA 301, 7.2.4).
+
+`eds.sdo_channel` decodes the frames of each node, with one transfer at a time as the standard has it. Requests that
+do not wait, late answers and time-outs need stamps and the nodes' heartbeats: they are judged here.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
-from coulombus.eds import sdo_forms as forms
+from coulombus.eds import sdo_frames as forms
 from coulombus.eds.cia301 import Abort, abort_text
-from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_channel import NO_BEGINNING, SdoChannel
-from coulombus.eds.sdo_frames import where
+from coulombus.eds.sdo_frames import named, where
 from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import ABORT_CHECKS
 from coulombus.explain.frames import NEVER
-from coulombus.explain.object_names import object_text
 from coulombus.explain.written_objects import WrittenObjects, number_text
 from coulombus.wire.data_word import data_bytes
 
@@ -405,7 +407,7 @@ class SdoTransfers:
         clue.who = "client" if request.writes else "node"
 
     def _object(self, number: int, data: bytes) -> str:
-        return object_text(self.bus, number, *named(data))
+        return self.bus.object_text(number, *named(data))
 
 
 def _expedited(says: dict[str, Any]) -> int | None:

@@ -20,19 +20,16 @@ from typing import Any
 import numpy as np
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.reader import Description
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.names import fields
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
-from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.signals import Recording, Source
-from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
@@ -64,7 +61,7 @@ def rows(recording: Source) -> Iterator[Row]:
     The PDOs of a block are decoded beforehand, as whole columns.
     """
     rig = recording.rig
-    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
+    services = {channel: _Services(KnownBus(rig.on(channel))) for channel in rig.channels}
     for block in recording:
         yield from _block_rows(block, services)
 
@@ -127,7 +124,7 @@ def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
 def text_lines(recording: Source) -> Iterator[list[str]]:
     """Yield the `printable` lines of each block: `as_text` of each of its `rows`."""
     rig = recording.rig
-    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
+    services = {channel: _Services(KnownBus(rig.on(channel))) for channel in rig.channels}
     kept: dict[tuple[int, int, int, int], str] = {}
     for block in recording:
         if len(block.frames):
@@ -186,7 +183,7 @@ def _row_template(row: Row, table: PdoTable) -> str:
     return "%14.6f" + _head(row)[len(_time_text(0.0)) :].replace("%", "%%") + " " + "  ".join(items)
 
 
-def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> Iterator[Row]:
+def bare_rows(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> Iterator[Row]:
     """Yield one dict for each frame of a log without a rig, in the file's order; then add what was left out to `remarks`.
 
     Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
@@ -199,7 +196,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    decoder, epoch_ns = BareDecoder(eds), None
+    decoder, epoch_ns = BareDecoder(known), None
     for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
         epoch_ns = capture.origin_ns if epoch_ns is None else epoch_ns
@@ -213,8 +210,8 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
 class BareDecoder:
     """Decodes frames without a rig, as they come: an SDO transfer and a PDO's map depend on those before."""
 
-    def __init__(self, eds: EdsFiles) -> None:
-        self._services, self._maps, self._pdos = _Services(None, eds), LogMaps(eds), dict[int, RigPdo]()
+    def __init__(self, known: KnownBus) -> None:
+        self._services, self._maps, self._pdos = _Services(known), LogMaps(known.eds), dict[int, RigPdo]()
 
     def rows(self, frames: Records, epoch_ns: int = 0) -> Iterator[Row]:
         """Yield one dict for each frame; `epoch_ns` is the time 0 of `t_s`."""
@@ -239,7 +236,7 @@ class BareDecoder:
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
     """Return the raw values of a frame's mapped objects."""
     values = {}
-    for signal, entry, start in fields(pdo):
+    for signal, entry, start in pdo.fields():
         if start + entry.bits <= 8 * length:
             values[signal.name.rpartition(".")[2]] = entry.number(word, start)
     return values
@@ -248,15 +245,12 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
 class _Services:
     """Decodes frames other than the rig's PDOs; without a rig, every frame, with the names of EDS files."""
 
-    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
-        nodes = () if rig is None else rig.nodes
-        self._names = ({} if rig is None else {rig.host.node_id: "host"}) | {node.node_id: node.name for node in nodes}
-        self._descriptions: dict[str, Description] = {node.name: node.description for node in nodes}
-        self._descriptions |= {
-            str(node_id): description for node_id, description in (eds or EdsFiles()).of_nodes.items()
-        }
+    def __init__(self, known: KnownBus) -> None:
+        nodes = () if known.rig is None else known.rig.nodes
+        self._names = known.names
+        self._descriptions = {node.node_id: node.description for node in nodes} | known.eds.of_nodes
         self._emergencies = {node.emcy_id: node.name for node in nodes}
-        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if rig is None else rig.pdos())}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if known.rig is None else known.pdos)}
         self._servers: dict[int, SdoChannel] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:
@@ -313,7 +307,7 @@ class _Services:
 
     def _sdo(self, node_id: int, data: bytes, from_server: bool) -> Row:
         if node_id not in self._servers:
-            self._servers[node_id] = SdoChannel(self._descriptions.get(self._name(node_id)))
+            self._servers[node_id] = SdoChannel(self._descriptions.get(node_id))
         return self._servers[node_id].row(data, from_server)
 
 

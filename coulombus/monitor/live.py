@@ -21,10 +21,10 @@ from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
+from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
@@ -85,15 +85,15 @@ class Live:
 
     Parameters
     ----------
-    rig
-        Rig with names, PDOs and expected values. None: nodes are numbers, PDOs are learned from the frames.
-    learned
-        With an assumed rig: the learned PDOs, used when the bus turns out to be another rig's.
+    known
+        Rig with names, PDOs and expected values. Without one: nodes are numbers, PDOs are learned from the frames.
+    assumed
+        The rig is a guess: PDOs are learned, too, and used when the bus turns out to be another rig's.
     """
 
-    def __init__(self, rig: Rig | None, learned: LearnedPdos | None = None) -> None:
-        self.rig = rig
-        self._learned = learned or (LearnedPdos() if rig is None else None)
+    def __init__(self, known: KnownBus, *, assumed: bool = False) -> None:
+        rig = self.rig = known.rig
+        self._learned = LogMaps(known.eds) if rig is None or assumed else None
         self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
         self._lines: dict[int, _Line] = {}
         self._sync = self._lines[CobId.SYNC] = _Line()
@@ -135,8 +135,8 @@ class Live:
 
     def _learn(self, block: Block) -> None:
         """Learn PDOs; without a rig these are shown."""
-        if self._learned is not None and self._learned.take(block) and self.rig is None:
-            self._take_learned(self._learned.pdos())
+        if self._learned is not None and self._learned.take(block.records) and self.rig is None:
+            self._take_learned(self._learned.received_pdos())
 
     def _take_learned(self, pdos: tuple[RigPdo, ...]) -> None:
         self._pdos = pdos
@@ -166,7 +166,7 @@ class Live:
         for node in self._nodes:
             node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
         self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
-        self._take_learned(self._learned.pdos())
+        self._take_learned(self._learned.received_pdos())
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Add frames; no content raises.

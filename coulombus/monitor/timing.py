@@ -19,7 +19,6 @@ from coulombus.eds.cia301 import CobId
 from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.signals import Source
@@ -174,7 +173,7 @@ def recorded(source: Source) -> dict[str, Stamps]:
     return stamps
 
 
-def recorded_bare(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> tuple[KnownBus, Stamps]:
+def recorded_bare(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> tuple[KnownBus, Stamps]:
     """Return what a log without a rig tells of one bus, and its stamps; add what was left out to `remarks`.
 
     Raises
@@ -184,12 +183,12 @@ def recorded_bare(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    stamps, maps = Stamps(), LogMaps(eds)
+    stamps, maps = Stamps(), LogMaps(known.eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
         maps.take(frames)
         stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
-    return KnownBus("", (), maps.pdos()), stamps
+    return KnownBus(learned=maps.pdos()), stamps
 
 
 def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:

@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds import sdo_forms as forms
 from coulombus.eds.cia301 import DUMMY_TYPES, CobId
 from coulombus.eds.description import Description
+from coulombus.eds.eds_folder import EdsFiles
+from coulombus.eds.own_devices import told_identity
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, Objects, identified, maps_of
+from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
@@ -54,8 +55,6 @@ class LogMaps:
         self._descriptions, self._candidates = dict(files.of_nodes), files.candidates
         self._nodes: dict[int, MappedNode] = {}
         self._channels: dict[int, SdoChannel] = defaultdict(lambda: SdoChannel(None))
-        self._asked: dict[int, tuple[tuple[int, int], int]] = {}
-        """Unconfirmed expedited download by node."""
         self._maps: dict[int, Map] = {}
         self._stale = bool(files.of_nodes)
         self._frames = self._row = self._set_at = 0
@@ -65,7 +64,7 @@ class LogMaps:
         self._came: set[int] = set()
 
     def take(self, frames: Records) -> bool:
-        """Learn from frames; return whether a map is new or changed."""
+        """Learn from frames; return whether a map is new or changed, or a PDO comes for the first time."""
         can_id, length = np.ascontiguousarray(frames["can_id"]), np.ascontiguousarray(frames["length"])
         function = can_id & (0x780 | CAN_RTR_FLAG | CAN_EFF_FLAG | CAN_ERR_FLAG)
         boots = (function == HEARTBEAT) & (length == 1) & (frames["word"] == 0)
@@ -77,10 +76,12 @@ class LogMaps:
             elif number:
                 self._transfer(number, data_bytes(int(frames["word"][row]), 8), function[row] == SDO_TX)
         came = {int(key) for key in np.unique(can_id) if key < 0x800}
+        first = came - self._came
         self._came |= came
         self._see({key & 0x7F for key in came if key & 0x780 in (SDO_TX, HEARTBEAT)})
         self._frames += len(frames)
         changed = self.learn()
+        changed |= any(pdo_without_map(key) or self.pdo(key) for key in first)
         return self._misfits(can_id, length) or changed
 
     def _see(self, numbers: set[int]) -> None:
@@ -94,20 +95,11 @@ class LogMaps:
             self._stale = True
 
     def _transfer(self, number: int, data: bytes, from_server: bool) -> None:
-        says = self._channels[number].row(data, from_server)
-        phase, value = says.get("phase"), says.get("value")
-        at = (says.get("index", 0), says.get("subindex", 0))
-        if not from_server:
-            self._asked.pop(number, None)
-            if phase == forms.DOWNLOAD_INITIATE.phase and isinstance(value, int):
-                self._asked[number] = (at, value)
-        elif phase == forms.DOWNLOAD_INITIATED.phase:
-            asked, value = self._asked.pop(number, (None, 0))
-            if asked == at:
-                self._set(number, at, value)
-        elif phase == forms.UPLOAD_INITIATED.phase and self._channels[number].transfer is None:
-            size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-            self._set(number, at, int.from_bytes(data[4 : 4 + size], "little"))
+        channel = self._channels[number]
+        channel.row(data, from_server)
+        transfer = channel.completed
+        if transfer is not None and transfer.kind == "expedited" and transfer.place is not None:
+            self._set(number, transfer.place, int.from_bytes(transfer.joined.content, "little"))
 
     def _set(self, number: int, at: tuple[int, int], value: int) -> None:
         self._see({number})
@@ -172,6 +164,20 @@ class LogMaps:
         maps = [known for _, known in sorted(self._maps.items()) if known.fields]
         fits = (known for known in maps if known.source != "assumed" or known.can_id in self._came - self._misfit)
         return tuple(self.rig_pdo(known) for known in fits)
+
+    def received_pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that came, in the order of their identifiers; a PDO without a map has no signals."""
+        mapped = {pdo.layout.cob_id: pdo for pdo in self.pdos()}
+        pdos = (mapped.get(can_id) or pdo_without_map(can_id) for can_id in sorted(self._came))
+        return tuple(pdo for pdo in pdos if pdo is not None)
+
+    def other_devices(self, rig: Rig) -> bool:
+        """Return whether a node of the bus is another device than the rig's (1018h)."""
+        for node in rig.nodes:
+            of_bus, of_rig = self.identity(node.node_id), told_identity(node.description)
+            if any(seen not in (0, expected) for seen, expected in zip(of_bus, of_rig, strict=True) if expected):
+                return True
+        return False
 
     def rig_pdo(self, known: Map) -> RigPdo:
         """Return a PDO as in a rig: the node is a number, a signal is named by its PDO and object,
