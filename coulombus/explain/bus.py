@@ -10,7 +10,7 @@ import bisect
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.eds.cia301 import TPDOS, CobId, NmtCommand, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
@@ -52,7 +52,6 @@ NAMES = {
     **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
 }  # fmt: skip
 """Names of objects of CiA 301 and 402, for nodes without an EDS file."""
-TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
 
 
 @dataclass
@@ -181,9 +180,9 @@ class Bus:
         """Return the node that sends a group's frames; None: the host, or unknown."""
         if key & ~0x7FF or key < 0x81:
             return None
-        known = self.maps.get(key)
-        if known is not None:
-            return known.node if known.direction == "tpdo" else None
+        pdo_map = self.maps.get(key)
+        if pdo_map is not None:
+            return pdo_map.node if pdo_map.direction == "tpdo" else None
         function, number = key & 0x780, key & 0x7F
         if number and function in (EMCY, SDO_TX, HEARTBEAT, *TPDOS):
             return number
@@ -191,9 +190,9 @@ class Bus:
 
     def receiver(self, key: int) -> int | None:
         """Return the node that a group's frames are set-points for: by its map, else by the identifier; None for none."""
-        known = self.maps.get(key)
-        if known is not None:
-            return known.node if known.direction == "rpdo" else None
+        pdo_map = self.maps.get(key)
+        if pdo_map is not None:
+            return pdo_map.node if pdo_map.direction == "rpdo" else None
         return key & 0x7F or None if key in RPDOS and not key & 0x80 else None
 
     def last_heard(self, block: Block | None, number: int, before_ns: int) -> int:
@@ -215,13 +214,13 @@ class Bus:
 
     def ordered(self, number: int, after_ns: int, before_ns: int, *targets: int) -> Order | None:
         """Return the last NMT command to a node between these times, with the given target if any."""
-        for order in reversed(self.orders):
-            if order.t_ns > before_ns:
+        for command in reversed(self.orders):
+            if command.t_ns > before_ns:
                 continue
-            if order.t_ns < after_ns:
+            if command.t_ns < after_ns:
                 return None
-            if order.concerns(number) and (not targets or TARGET.get(NmtCommand(order.command)) in targets):
-                return order
+            if command.concerns(number) and (not targets or TARGET.get(NmtCommand(command.command)) in targets):
+                return command
         return None
 
     def present(self, number: int, t_ns: int) -> bool:
@@ -255,7 +254,7 @@ class Bus:
 
     def _commanded(self, t_ns: int) -> set[int]:
         """Return the node ids of the NMT commands until a time [ns]."""
-        return {order.node for order in self.orders if order.t_ns <= t_ns}
+        return {command.node for command in self.orders if command.t_ns <= t_ns}
 
     def _only_beats(self, number: int, t_ns: int, commanded: set[int]) -> bool:
         others = (
@@ -274,8 +273,8 @@ class Bus:
 
     def left_on_order(self, number: int, before_ns: int) -> bool:
         """Return whether the last NMT command to a node before this time was not a start."""
-        order = self.ordered(number, -1, before_ns)
-        return order is not None and order.command != NmtCommand.START
+        last = self.ordered(number, -1, before_ns)
+        return last is not None and last.command != NmtCommand.START
 
     def is_disarmed(self, number: int, t_ns: int) -> bool:
         """Return whether a node's drive is known not to be in Operation Enabled at a time [ns]."""
@@ -317,18 +316,22 @@ class Bus:
             maps = maps_of(self.nodes, self.descriptions, self.fixed)
             unknown = self.contradicted | self.configured
             self.maps = {}
-            for key, known in maps.items():
-                if known.source != "assumed" or known.node not in unknown:
-                    self.maps[key] = known
-                elif known.synchronous is not None or known.event_ns or known.inhibit_ns:  # type and times were seen
-                    self.maps[key] = replace(known, fields=(), source=SEEN)
+            for key, pdo_map in maps.items():
+                if pdo_map.source != "assumed" or pdo_map.node not in unknown:
+                    self.maps[key] = pdo_map
+                elif (
+                    pdo_map.synchronous is not None or pdo_map.event_ns or pdo_map.inhibit_ns
+                ):  # type and times were seen
+                    self.maps[key] = replace(pdo_map, fields=(), source=SEEN)
 
     def doubt(self, block: Block) -> None:
         """Drop the assumed maps of a node whose PDOs have another length, or a word that is no statusword."""
         doubted = {
-            known.node
+            pdo_map.node
             for key, group in block.groups.items()
-            if (known := self.maps.get(key)) is not None and known.source == "assumed" and _contradicts(group, known)
+            if (pdo_map := self.maps.get(key)) is not None
+            and pdo_map.source == "assumed"
+            and _contradicts(group, pdo_map)
         }
         if doubted:
             self.contradicted |= doubted
@@ -350,21 +353,21 @@ class Bus:
 
     def _compare(self, number: int, identity: tuple[int, int]) -> None:
         """Remove the rig's names from a node that is not the rig's device."""
-        ours = told_identity(self.of_rig[number])
-        if all(seen in (0, told) for seen, told in zip(identity, ours, strict=True)):
+        expected = told_identity(self.of_rig[number])
+        if all(seen in (0, of_rig) for seen, of_rig in zip(identity, expected, strict=True)):
             return
         del self.of_rig[number]
         self.others.append(number)
         self.names.pop(number, None)
-        self.fixed = {can_id: known for can_id, known in self.fixed.items() if known.node != number}
+        self.fixed = {can_id: pdo_map for can_id, pdo_map in self.fixed.items() if pdo_map.node != number}
 
 
-def _contradicts(group: Frames, known: Map) -> bool:
+def _contradicts(group: Frames, pdo_map: Map) -> bool:
     """Return whether frames cannot have an assumed map."""
-    short, long = (group.length < known.length).any(), (group.length > known.length).any()
-    if known.length and (short or (long and known.direction == "tpdo")):
+    short, long = (group.length < pdo_map.length).any(), (group.length > pdo_map.length).any()
+    if pdo_map.length and (short or (long and pdo_map.direction == "tpdo")):
         return True
-    words = [group.word >> field.start for _, field in known.find(0x41) if known.direction == "tpdo"]
+    words = [group.word >> field.start for _, field in pdo_map.find(0x41) if pdo_map.direction == "tpdo"]
     return any(bool((STATE_OF_STATUSWORD[word & 0x7F] < 0).any()) for word in words)
 
 

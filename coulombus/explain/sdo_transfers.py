@@ -66,7 +66,7 @@ class _Request:
     subindex: int
     value: int | None  # of an expedited download
     repeated_ns: int = -1  # time at which the client sent it again
-    wrong: bool = False  # its size or CRC is
+    has_wrong_data: bool = False  # size or CRC
     overlaps: bool = False  # another request of the channel was not answered yet
     left_ns: int = -1  # time at which the client asked for something else
     misanswered: bool = False  # an answer about another object came
@@ -138,7 +138,7 @@ class SdoTransfers:
         if are_wrong(remark):
             self._wrong(row, t_ns, number, server, remark)
         if server.running is not None and server.channel.transfer is None:
-            if not server.running.wrong:
+            if not server.running.has_wrong_data:
                 self._done(t_ns, number, server.running)
             server.running = None
         server.last_ns, server.last_by_server = t_ns, from_server
@@ -400,7 +400,7 @@ class SdoTransfers:
         request = server.running or server.answered
         if request is None:
             return
-        request.wrong = True
+        request.has_wrong_data = True
         verb = "write" if request.writes else "read"
         text = f"{verb} of {self._object(number, request.data)}: {remark}"
         clue = self.clues.begin("sdo_data", number, t_ns, text, row=row, subject=request.at)

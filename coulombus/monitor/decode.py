@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
@@ -39,8 +39,6 @@ __all__ = ["BareDecoder", "Row", "as_json", "as_text", "bare_rows", "fitted", "r
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
-PDO_NAMES = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
-"""The predefined connection set (CiA 301, section 7.3.5)."""
 
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
 HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X", "6040h:00": "04X", "6041h:00": "04X"}
@@ -125,16 +123,16 @@ def text_lines(recording: Source) -> Iterator[list[str]]:
     """Yield the `printable` lines of each block: `as_text` of each of its `rows`."""
     rig = recording.rig
     services = {channel: _Services(KnownBus(rig.on(channel))) for channel in rig.channels}
-    kept: dict[tuple[int, int, int, int], str] = {}
+    texts: dict[tuple[int, int, int, int], str] = {}
     for block in recording:
         if len(block.frames):
-            yield _block_lines(block, services, kept)
+            yield _block_lines(block, services, texts)
         if block.capture.late:
             yield [printable(as_text(row)) for row in _late_rows(block.capture, block.epoch_ns)]
 
 
 def _block_lines(
-    block: Recording, services: Mapping[str, _Services], kept: dict[tuple[int, int, int, int], str]
+    block: Recording, services: Mapping[str, _Services], texts: dict[tuple[int, int, int, int], str]
 ) -> list[str]:
     frames, channels = block.frames, block.capture.channels or ()
     first, of_source = _of_sources(block, services)
@@ -155,7 +153,7 @@ def _block_lines(
     names = ("can_id", "length", "word", "source")
     keys = zip(*(frames[name][others].tolist() for name in names), strict=True)
     for i, t_s, key in zip(others.tolist(), times[others].tolist(), keys, strict=True):
-        text = kept.get(key)
+        text = texts.get(key)
         if text is None:
             can_id, length, word, source = key
             row = (of_source[source] if of_source else first).row(t_s, can_id, length, word)
@@ -163,9 +161,9 @@ def _block_lines(
                 row["bus"] = channels[source]
             text = printable(as_text(row))[len(_time_text(t_s)) :]
             if "phase" not in row and row.get("service") != "SDO":  # an SDO frame depends on those before it
-                if len(kept) >= MOST_KEPT:
-                    kept.clear()
-                kept[key] = text
+                if len(texts) >= MOST_KEPT:
+                    texts.clear()
+                texts[key] = text
         lines[i] = _time_text(t_s) + text
     for i, text in _comments(block).items():
         lines[i] = printable(f"{lines[i]}  # {text}").rstrip()
@@ -277,8 +275,8 @@ class _Services:
         if can_id in self._pdos:
             pdo = self._pdos[can_id]
             row |= {"node": pdo.node, "pdo": pdo.name, "service": "pdo"}
-            wrong = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
-            return row if remote else row | wrong
+            malformed = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
+            return row if remote else row | malformed
         decoder: Callable[[bytes], Row] | None = None
         if can_id == CobId.NMT:
             row["service"], decoder = "nmt", lambda content: nmt(content, self._name)

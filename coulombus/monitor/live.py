@@ -16,7 +16,7 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia301 import TPDOS, CobId, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.sdo_channel import SdoChannel
@@ -39,7 +39,6 @@ NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 """Services that reveal a node outside the rig."""
-TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
 SENT_BY_NODES = (*CALLS, *TPDOS)
 """Services sent by nodes, including the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
 BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
@@ -206,15 +205,15 @@ class Live:
         if line.length != -1:
             right = block.lengths[rows] == line.length
             if not right.all():
-                wrong, rows = rows[~right], rows[right]
-                self._row = int(wrong[0])
+                unfit, rows = rows[~right], rows[right]
+                self._row = int(unfit[0])
                 if not line.malformed:
-                    length = block.lengths[wrong[0]]
+                    length = block.lengths[unfit[0]]
                     expected = (
                         f"its map {line.length}" if self.rig is None else f"the rig's has {line.length}: another rig?"
                     )
-                    self._note(int(block.t_ns[wrong[0]]), f"{can_id:03X}h has {length} bytes, {expected}", grave=True)
-                line.malformed += len(wrong)
+                    self._note(int(block.t_ns[unfit[0]]), f"{can_id:03X}h has {length} bytes, {expected}", grave=True)
+                line.malformed += len(unfit)
                 if not len(rows):
                     return
         t_ns = block.t_ns[rows]
@@ -265,8 +264,10 @@ class Live:
         if can_id in (CobId.LSS_TX, CobId.LSS_RX):
             row = lss(data, can_id == CobId.LSS_TX)
             if "command" in row and row["command"] != "fastscan":
-                said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command")
-                self._note(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
+                content = ", ".join(
+                    f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command"
+                )
+                self._note(t_ns, f"LSS: {row['command']}" + (f", {content}" if content else ""))
             return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
         if can_id in self._emergencies:

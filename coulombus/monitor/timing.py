@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
@@ -36,7 +36,6 @@ MOST_WAITING = 4096
 """Frames of a live bus that wait to be counted."""
 NAMES = {int(service): service.name for service in CobId}
 FUNCTION = 0x780
-PDOS = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
 NODE_SERVICES = {
     int(CobId.EMCY): "EMCY",
     int(CobId.SDO_TX): "SDO tx",
@@ -212,7 +211,7 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
                 period_ms=None if period is None else period / 1e6,
                 jitter=None if period is None else Spread.of(line.gaps.distances(period)),
                 from_sync=Spread.of(line.delays)
-                if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDOS)
+                if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDO_NAMES)
                 else None,
             )
         )
@@ -227,7 +226,7 @@ def _name(can_id: int, nodes: Mapping[int, str]) -> str:
         return "extended"
     if can_id in NAMES and not (can_id & 0x7F and can_id < CobId.LSS_TX):
         return NAMES[can_id]
-    service = NODE_SERVICES.get(can_id & FUNCTION) or ("" if nodes else PDOS.get(can_id & FUNCTION))
+    service = NODE_SERVICES.get(can_id & FUNCTION) or ("" if nodes else PDO_NAMES.get(can_id & FUNCTION))
     node = nodes.get(can_id & 0x7F, str(can_id & 0x7F))
     return f"{node} {service}" if service else "-"
 

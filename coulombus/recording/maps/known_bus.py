@@ -140,10 +140,10 @@ def _left_out(number: int, file: Description, pdos: tuple[RigPdo, ...]) -> Itera
         counted = by_id.get(layout.cob_id)
         if counted is None or not layout.entries:
             continue
-        own, other = f"{layout.direction.upper()}{layout.number}", f"{counted.node}.{counted.name}"
-        if f"{number}.{own}" != other:
-            reason = f"its identifier {layout.cob_id:03X}h is that of {other}, too"
-            yield f"{file.path}: {number}.{own} is left out: {reason}"
+        name, owner = f"{number}.{layout.direction.upper()}{layout.number}", f"{counted.node}.{counted.name}"
+        if name != owner:
+            reason = f"its identifier {layout.cob_id:03X}h is that of {owner}, too"
+            yield f"{file.path}: {name} is left out: {reason}"
 
 
 def _layouts(file: Description, number: int, refused: Mapping[int, str]) -> Iterator[PdoLayout]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import DUMMY_TYPES, CobId
+from coulombus.eds.cia301 import DUMMY_TYPES, PDO_NAMES, CobId
 from coulombus.eds.description import Description
 from coulombus.eds.eds_folder import EdsFiles
 from coulombus.eds.own_devices import told_identity
@@ -37,8 +37,6 @@ SIGNED_402 = frozenset(
     }
 )
 """Signed objects of CiA 402, by their distance from 6000h (each axis 800h further)."""
-UNMAPPED = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
-"""Identifiers of the predefined connection set (CiA 301, section 7.3.5), without their node id."""
 
 
 class LogMaps:
@@ -121,8 +119,8 @@ class LogMaps:
             return False
         self._stale = False
         self._descriptions |= identified(self._nodes, self._descriptions, self._candidates)
-        known = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
-        maps = maps_of(known, self._descriptions, {})
+        nodes = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
+        maps = maps_of(nodes, self._descriptions, {})
         changed = False
         for can_id, new in maps.items():
             old = self._maps.get(can_id)
@@ -136,11 +134,11 @@ class LogMaps:
     def _misfits(self, can_id: Integers, length: Integers) -> bool:
         """Remove assumed maps that frames contradict; return whether any was removed."""
         misfits = [
-            known.can_id
-            for known in self._maps.values()
-            if known.source == "assumed"
-            and known.can_id not in self._misfit
-            and (length[can_id == known.can_id] != known.length).any()
+            pdo_map.can_id
+            for pdo_map in self._maps.values()
+            if pdo_map.source == "assumed"
+            and pdo_map.can_id not in self._misfit
+            and (length[can_id == pdo_map.can_id] != pdo_map.length).any()
         ]
         self._misfit.update(misfits)
         return bool(misfits)
@@ -161,9 +159,11 @@ class LogMaps:
         """Return every PDO with a known map, in the order of the identifiers (see `rig_pdo`);
         assumed maps only if PDOs were received and fit.
         """
-        maps = [known for _, known in sorted(self._maps.items()) if known.fields]
-        fits = (known for known in maps if known.source != "assumed" or known.can_id in self._came - self._misfit)
-        return tuple(self.rig_pdo(known) for known in fits)
+        maps = [pdo_map for _, pdo_map in sorted(self._maps.items()) if pdo_map.fields]
+        fits = (
+            pdo_map for pdo_map in maps if pdo_map.source != "assumed" or pdo_map.can_id in self._came - self._misfit
+        )
+        return tuple(self.rig_pdo(pdo_map) for pdo_map in fits)
 
     def received_pdos(self) -> tuple[RigPdo, ...]:
         """Return the PDOs that came, in the order of their identifiers; a PDO without a map has no signals."""
@@ -179,16 +179,16 @@ class LogMaps:
                 return True
         return False
 
-    def rig_pdo(self, known: Map) -> RigPdo:
+    def rig_pdo(self, pdo_map: Map) -> RigPdo:
         """Return a PDO as in a rig: the node is a number, a signal is named by its PDO and object,
         ``"5.TPDO1.6064h:00"``, and its values are raw.
         """
-        description = self._descriptions.get(known.node)
-        node = self._nodes.get(known.node)
+        description = self._descriptions.get(pdo_map.node)
+        node = self._nodes.get(pdo_map.node)
         profile = 0 if node is None else node.device_type & 0xFFFF
-        entries = tuple(_entry(field, description, profile) for field in known.fields if field.bits)
+        entries = tuple(_entry(field, description, profile) for field in pdo_map.fields if field.bits)
         whole = sum(entry.bits for entry in entries) <= PDO_BITS  # a map of more was never accepted
-        return _pdo(known.node, known.direction, known.number, known.can_id, entries if whole else ())
+        return _pdo(pdo_map.node, pdo_map.direction, pdo_map.number, pdo_map.can_id, entries if whole else ())
 
 
 def _pdo(node: int, direction: str, number: int, can_id: int, entries: tuple[Entry, ...]) -> RigPdo:
@@ -234,7 +234,7 @@ def _entry(field: Field, description: Description | None, profile: int) -> Entry
 
 def pdo_without_map(can_id: int) -> RigPdo | None:
     """Return the PDO of an identifier in the predefined connection set, without signals, or None."""
-    name, node = UNMAPPED.get(can_id & ~0x7F, ""), can_id & 0x7F
+    name, node = PDO_NAMES.get(can_id & ~0x7F, ""), can_id & 0x7F
     if not name or not node:
         return None
     return _pdo(node, name[:4].lower(), int(name[4:]), can_id, ())
