@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, load_with_law, rig_option, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.options import JsonOption, RigOption, SetOption, option, with_options
+from coulombus.cli.rig_options import load_with_law
 from coulombus.cli.tables import PROSE, echo, on_terminal
+from coulombus.system.exit import verdict
 from coulombus.system.wrap_text import columns_of
 
 if TYPE_CHECKING:
@@ -24,14 +26,17 @@ __all__ = ["check"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
-@click.option(
-    "--bus", "bus_name", metavar="B", help="Compare the position scale of the drives on this bus with the rig file."
-)
-@json_option
-def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str | None, as_json: bool) -> None:
+@with_options
+def check(
+    rig_name: RigOption,
+    overrides: SetOption,
+    steps: Annotated[bool, option("List every object that bring-up writes, in its order, and why.")],
+    bus_name: Annotated[
+        str | None,
+        option("--bus", "Compare the position scale of the drives on this bus with the rig file.", metavar="B"),
+    ],
+    as_json: JsonOption,
+) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle
     fits on the bus; nothing is run.
 

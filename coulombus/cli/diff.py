@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import PICTURE, InputPath
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
+from coulombus.cli.rig_options import LogOptions
 from coulombus.cli.tables import echo, print_table, table_console
+from coulombus.system.exit import verdict
 
 if TYPE_CHECKING:
     from coulombus.recording.difference import Comparison, Difference
@@ -36,28 +37,26 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 
 
 @click.command("diff", epilog=EXIT_STATUS)
-@click.argument("a", type=InputPath())
-@click.argument("b", type=InputPath())
-@click.option(
-    "--tolerance",
-    "tolerances",
-    multiple=True,
-    callback=_tolerances,
-    metavar="[SIGNAL=|UNIT=]V",
-    help="The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
-)
-@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
-@log_options
-@force_option
-@json_option
+@with_options
 def diff(
-    a: Path,
-    b: Path,
-    tolerances: dict[str, float],
-    out: Path | None,
+    a: Annotated[Path, argument(type=InputPath())],
+    b: Annotated[Path, argument(type=InputPath())],
+    tolerances: Annotated[
+        dict[str, float],
+        option(
+            "--tolerance",
+            "The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
+            multiple=True,
+            callback=_tolerances,
+            metavar="[SIGNAL=|UNIT=]V",
+        ),
+    ],
+    out: Annotated[
+        Path | None, option("-o", "--out", "Draw both and their difference there.", type=PICTURE, metavar="F.png")
+    ],
     log: LogOptions,
-    overwrite: bool,
-    as_json: bool,
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Compare two recordings: two runs, or a simulated one and the rig's.
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.common import buses_option, json_option, load, rig_option, say, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import CPU, SECONDS
+from coulombus.cli.options import BusesOption, JsonOption, RigOption, SetOption, option, with_options
+from coulombus.cli.rig_options import load
 from coulombus.cli.tables import echo, progress, table_console
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,27 +26,23 @@ WIDTH, INDENT = 80, 8
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@buses_option
-@set_option
-@click.option(
-    "--latency",
-    "latency_s",
-    type=SECONDS,
-    metavar="SECONDS",
-    help="Also measure for this time how late the cycle would wake while every CPU is busy.",
-)
-@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle.  [default: the one that run takes]")
-@click.option("--fix", is_flag=True, help="Print only a shell script with the fixes; nothing is run.")
-@json_option
+@with_options
 def doctor(
-    rig_name: str,
-    bus_names: tuple[str, ...],
-    overrides: tuple[str, ...],
-    latency_s: float | None,
-    cpu: int | None,
-    fix: bool,
-    as_json: bool,
+    rig_name: RigOption,
+    bus_names: BusesOption,
+    overrides: SetOption,
+    latency_s: Annotated[
+        float | None,
+        option(
+            "--latency",
+            "Also measure for this time how late the cycle would wake while every CPU is busy.",
+            type=SECONDS,
+            metavar="SECONDS",
+        ),
+    ],
+    cpu: Annotated[int | None, option("CPU for the cycle.  [default: the one that run takes]", type=CPU)],
+    fix: Annotated[bool, option("Print only a shell script with the fixes; nothing is run.")],
+    as_json: JsonOption,
 ) -> None:
     """Check this PC for a rig: kernel, processors, rights, CAN card, disk, software; nothing is
     changed.

@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.options import BusOption, JsonOption, SharedMachineOption, argument, option, with_options, words
+from coulombus.cli.rig_options import check_shared_machine
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say, verdict
 from coulombus.system.keyboard import in_foreground
 
 if TYPE_CHECKING:
@@ -42,77 +43,48 @@ LAST_S = 0.5
 class Where:
     """The bus of a study's displays, from the options."""
 
-    bus_name: str | None
-    virtual: bool
-    shared_machine: bool
-
-    def words(self) -> list[str]:
-        """Return the command-line words of the options."""
-        words = ["--virtual"] if self.virtual else [] if self.bus_name is None else ["--bus", self.bus_name]
-        return words + ["--shared-machine"] * self.shared_machine
+    bus_name: BusOption
+    virtual: Annotated[bool, option("Display in virtual time, on the simulated rig.")]
+    shared_machine: SharedMachineOption
 
 
 @dataclass(frozen=True)
 class Answering:
     """Source, method and reporting of the answers, from the options."""
 
-    observer: float | None
-    felt: bool
-    page: bool
-    port: int | None
-    lsl: bool
-
-    def words(self) -> list[str]:
-        """Return the command-line words of the options."""
-        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"] + ["--felt"] * self.felt
-        words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
-        return words + ["--lsl"] * self.lsl
-
-
-where_options = bundle(
-    "where",
-    Where,
-    bus_option,
-    click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig."),
-    shared_machine_option,
-)
-answering_options = bundle(
-    "answering",
-    Answering,
-    click.option(
-        "--observer",
-        type=click.FloatRange(0, min_open=True),
-        metavar="JND",
-        help="A simulated observer of this just noticeable difference answers.",
-    ),
-    click.option("--felt", is_flag=True, help="The simulated observer judges the recorded torque; its JND is in Nm."),
-    click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
-    click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
-    click.option("--lsl", is_flag=True, help="Send markers and signals by the lab streaming layer."),
-)
+    observer: Annotated[
+        float | None,
+        option(
+            "A simulated observer of this just noticeable difference answers.",
+            type=click.FloatRange(0, min_open=True),
+            metavar="JND",
+        ),
+    ]
+    felt: Annotated[bool, option("The simulated observer judges the recorded torque; its JND is in Nm.")]
+    page: Annotated[bool, option("Ask in a browser on this machine; its address is printed.")]
+    port: Annotated[int | None, option("The page's port.  [default: a free one]", type=click.IntRange(0, 65535))]
+    lsl: Annotated[bool, option("Send markers and signals by the lab streaming layer.")]
 
 
 @click.command("experiment", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(readable=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(readable=False, file_okay=False, path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of the study.",
-)
-@click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
-@where_options
-@answering_options
-@json_option
+@with_options
 def experiment_command(
-    file: Path,
-    out: Path,
-    subject: str,
+    file: Annotated[Path, argument(type=click.Path(readable=False, path_type=Path))],
+    out: Annotated[
+        Path,
+        option(
+            "-o",
+            "--out",
+            "Folder of the study.",
+            type=click.Path(readable=False, file_okay=False, path_type=Path),
+            required=True,
+            metavar="DIR",
+        ),
+    ],
+    subject: Annotated[str, option("The subject, by letters and digits: S01.", required=True, metavar="S")],
     where: Where,
     answering: Answering,
-    as_json: bool,
+    as_json: JsonOption,
 ) -> None:
     """Show a study's trials to a subject, ask, and keep the answers.
 
@@ -156,9 +128,9 @@ def experiment_command(
                 came = run_session(session, people)
         with verdict(came.exit_status):
             if not came.complete:
-                words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
-                words += [*answering.words(), *where.words()]
-                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(words)}")
+                again = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
+                again += [*words(answering), *words(where)]
+                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(again)}")
             _tell(came, out, as_json)
 
 

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import SECONDS, InputPath
-from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
+from coulombus.cli.options import JsonOption, argument, option, with_options
+from coulombus.cli.rig_options import WatchedBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed, say
 
 __all__ = ["hz"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=InputPath())
-@watched_bus_options
-@click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
-@json_option
+@with_options
 def hz(
-    file: Path | None,
+    file: Annotated[Path | None, argument(required=False, type=InputPath())],
     chosen: WatchedBusOptions,
-    seconds: float,
-    as_json: bool,
+    seconds: Annotated[float, option("How long to listen to a bus.", type=SECONDS, default=5.0)],
+    as_json: JsonOption,
 ) -> None:
     """Measure rate and jitter of each identifier, and how long after SYNC the PDOs come.
 

@@ -6,17 +6,17 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, listed, say
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options, serve_last_page, serve_page, serve_recording_page
-from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
+from coulombus.cli.options import OverwriteOption, argument, listed, option, with_options
+from coulombus.cli.page_options import PageOptions, serve_last_page, serve_page, serve_recording_page
+from coulombus.cli.rig_options import WatchedBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say
 
 if TYPE_CHECKING:
     from coulombus.monitor.snapshot import HostLine
@@ -53,17 +53,56 @@ def host_line(address: BusAddress) -> HostLine | None:
     return HostLine(text + (f"  trip: {trip}" if trip else ""), "tripped" if trip else "runs")
 
 
+def _signal_names(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> tuple[str, ...]:
+    return listed(texts) or ()
+
+
 @dataclass(frozen=True)
 class View:
     """View of a live bus, or tool to forward it to, from the options."""
 
-    interval: float | None
-    pcapng: Path | None
-    overwrite: bool
-    scope: tuple[str, ...]
-    foxglove: int | None
-    plotjuggler: int | None
-    last: bool
+    interval: Annotated[
+        float | None,
+        option("Refresh interval in s.  [default: 0.1 in a terminal, else 1]", type=click.FloatRange(0.02)),
+    ]
+    pcapng: Annotated[
+        Path | None,
+        option(
+            "Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
+            type=OutputFile(".pcapng", dash=True),
+            metavar="F",
+        ),
+    ]
+    overwrite: OverwriteOption
+    scope: Annotated[
+        tuple[str, ...],
+        option(
+            "Draw these signals over the last 10 s, in a terminal.",
+            callback=_signal_names,
+            metavar="A,B",
+        ),
+    ]
+    foxglove: Annotated[
+        int | None,
+        option(
+            "Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
+            type=click.IntRange(0, 65535),
+            is_flag=False,
+            flag_value=8765,
+            metavar="[PORT]",
+        ),
+    ]
+    plotjuggler: Annotated[
+        int | None,
+        option(
+            "Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
+            type=click.IntRange(1, 65535),
+            is_flag=False,
+            flag_value=9870,
+            metavar="[PORT]",
+        ),
+    ]
+    last: Annotated[bool, option("With --web: the page as it was at the last trip.")]
 
     def check(self, page: PageOptions, as_json: bool, eds: bool = False) -> None:
         """Refuse incompatible options.
@@ -94,71 +133,23 @@ class View:
             raise click.UsageError(f"--eds is of a bus without a rig: leave {(given or ['--scope'])[0]} out")
 
 
-view_options = bundle(
-    "view",
-    View,
-    click.option(
-        "--interval",
-        type=click.FloatRange(0.02),
-        default=None,
-        help="Refresh interval in s.  [default: 0.1 in a terminal, else 1]",
-    ),
-    click.option(
-        "--pcapng",
-        "pcapng",
-        type=OutputFile(".pcapng", dash=True),
-        metavar="F",
-        help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
-    ),
-    force_option,
-    click.option(
-        "--scope",
-        multiple=True,
-        callback=lambda ctx, param, texts: listed(texts) or (),
-        metavar="A,B",
-        help="Draw these signals over the last 10 s, in a terminal.",
-    ),
-    click.option(
-        "--foxglove",
-        type=click.IntRange(0, 65535),
-        is_flag=False,
-        flag_value=8765,
-        metavar="[PORT]",
-        help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
-    ),
-    click.option(
-        "--plotjuggler",
-        type=click.IntRange(1, 65535),
-        is_flag=False,
-        flag_value=9870,
-        metavar="[PORT]",
-        help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
-    ),
-    click.option("--last", is_flag=True, help="With --web: the page as it was at the last trip."),
-)
-
-
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=InputPath())
-@watched_bus_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
-@view_options
-@page_options
-@click.option(
-    "--beside",
-    type=click.Choice(("plots", "bus")),
-    hidden=True,
-    help="Another verb began this page, which opens with this view, and ends it.",
-)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+@with_options
 def watch(
-    file: Path | None,
+    file: Annotated[Path | None, argument(required=False, type=InputPath())],
     chosen: WatchedBusOptions,
-    seconds: float | None,
+    seconds: Annotated[float | None, option("End after this time.", type=SECONDS)],
     view: View,
     page: PageOptions,
-    beside: str | None,
-    as_json: bool,
+    beside: Annotated[
+        str | None,
+        option(
+            "Another verb began this page, which opens with this view, and ends it.",
+            type=click.Choice(("plots", "bus")),
+            hidden=True,
+        ),
+    ],
+    as_json: Annotated[bool, option("--json", "One JSON object a line to stdout.")],
 ) -> None:
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
     emergencies, losses.
