@@ -36,7 +36,7 @@ __all__ = ["analyse"]
 def analyse(
     ctx: click.Context,
     loop: LoopOptions,
-    chosen: AnalysedRigOptions,
+    options: AnalysedRigOptions,
     seed: SeedOption,
     figures: FiguresOption,
     as_json: JsonOption,
@@ -65,7 +65,7 @@ def analyse(
         from coulombus.analysis.figures.report import lines
         from coulombus.analysis.figures.report import study as whole_study
 
-        parameters, rig = loop.parameters(), chosen.axis()
+        parameters, rig = loop.parameters(), options.axis()
         with steps(9) as step:
             result = whole_study(parameters, rig, seed=seed, step=step)
         print_result(as_json, lambda: json_of(result), lambda: lines(result))

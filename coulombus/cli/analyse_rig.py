@@ -26,7 +26,7 @@ __all__ = ["felt", "hold", "map_command", "plane", "z_width"]
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def hold(
-    chosen: AnalysedRigOptions,
+    options: AnalysedRigOptions,
     figures: FiguresOption,
     as_json: JsonOption,
 ) -> None:
@@ -37,7 +37,7 @@ def hold(
         from coulombus.analysis.figures.report import hold_lines
         from coulombus.analysis.rig.hold import hold_study
 
-        rig = chosen.axis()
+        rig = options.axis()
         with bar("hold") as report:
             result = hold_study(rig, progress=report)
         print_result(as_json, lambda: result, lambda: hold_lines(result))
@@ -50,7 +50,7 @@ def hold(
 @click.command(epilog=EXIT_STATUS, short_help="Errors of the display, and what they depend on.")
 @with_options
 def felt(
-    chosen: AnalysedRigOptions,
+    options: AnalysedRigOptions,
     seed: SeedOption,
     as_json: JsonOption,
 ) -> None:
@@ -60,7 +60,7 @@ def felt(
     with errors():
         from coulombus.analysis.rig.display_errors import felt_study
 
-        rig = chosen.axis()
+        rig = options.axis()
         with bar("felt") as report:
             result = felt_study(rig, seed=seed, progress=report)
         print_result(as_json, lambda: result, result.lines)
@@ -69,7 +69,7 @@ def felt(
 @click.command("z-width", epilog=EXIT_STATUS, short_help="Largest stiffness of a virtual wall, active and hybrid.")
 @with_options
 def z_width(
-    chosen: AnalysedRigOptions,
+    options: AnalysedRigOptions,
     seed: SeedOption,
     figures: FiguresOption,
     as_json: JsonOption,
@@ -85,7 +85,7 @@ def z_width(
     with errors():
         from coulombus.analysis.rig.wall_plane import wall_plane
 
-        rig = chosen.axis()
+        rig = options.axis()
         with bar("z-width") as report:
             result = wall_plane(rig, seed=seed, progress=report)
         print_result(as_json, result.as_dict, result.lines)
@@ -98,7 +98,7 @@ def z_width(
 @click.command("map", epilog=EXIT_STATUS)
 @with_options
 def map_command(
-    chosen: AnalysedRigOptions,
+    options: AnalysedRigOptions,
     axes: Annotated[
         tuple[str, ...],
         option("--axis", "An axis and its values; several give every combination.", metavar="NAME=V1,V2,..."),
@@ -124,7 +124,7 @@ def map_command(
         from coulombus.analysis.figures.report import map_lines
         from coulombus.analysis.rig.maps import oscillation_map
 
-        rig = chosen.axis()
+        rig = options.axis()
         values_of: dict[str, Any] = {}
         for axis in axes:
             name, _, values = axis.partition("=")
@@ -167,7 +167,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
 @click.command("plane", epilog=EXIT_STATUS, short_help="What two coupled joints can display in the plane.")
 @with_options
 def plane(
-    chosen: RigOptions,
+    options: RigOptions,
     poses: Annotated[
         tuple[tuple[float, float], ...],
         option(
@@ -216,7 +216,7 @@ def plane(
         from coulombus.analysis.rig.plane_display import plane_display
         from coulombus.rigs.rig import load_rig
 
-        rig = load_rig(chosen.rig_name, chosen.overrides)
+        rig = load_rig(options.rig_name, options.overrides)
         result = plane_display(rig, poses, grid)
         if picture is not None:
             _draw(result, friction_N, picture, overwrite=overwrite)
@@ -256,7 +256,7 @@ def _draw(result: Any, friction_N: float | None, picture: Path, *, overwrite: bo
     from coulombus.recording.output_file import new_file
     from coulombus.recording.pictures.plot import save_picture
 
-    made = draw_plane(result, friction_N)
+    figure = draw_plane(result, friction_N)
     with new_file(picture, force=overwrite) as path:
-        save_picture(made, path)
+        save_picture(figure, path)
     say(f"figure: {picture}")

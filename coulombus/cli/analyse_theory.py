@@ -83,7 +83,7 @@ def limit_cycle(
         motions = orbits(parameters, longest=longest, starts=starts, seed=seed)
         rows = () if no_table else delay_table(parameters, seed=seed)
         seen = three_valued_orbits(parameters, zero) if parameters.resolution_m > 0 else ()
-        most = l1_bound(parameters) if sample(parameters).spectral_radius < 1 - 1e-12 else None
+        bound_m_s = l1_bound(parameters) if sample(parameters).spectral_radius < 1 - 1e-12 else None
 
         def text() -> Iterator[str]:
             yield f"describing function   {prediction.text}"
@@ -98,8 +98,8 @@ def limit_cycle(
                 yield motions.text
             if motions.elsewhere:
                 yield f"{motions.elsewhere:.0%} of the starts ended in none of these: a longer period, or none"
-            if most is not None:
-                yield f"no motion that the display sustains has more than {most:.4g} m/s (l1 norm)"
+            if bound_m_s is not None:
+                yield f"no motion that the display sustains has more than {bound_m_s:.4g} m/s (l1 norm)"
             yield from (
                 f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
                 f"at {orbit.share:.0%} of the encoder's places"
@@ -114,7 +114,7 @@ def limit_cycle(
             lambda: {
                 "crossings": plain(prediction.found),
                 **orbits_json(motions),
-                "l1_bound_m_s": most,
+                "l1_bound_m_s": bound_m_s,
                 "with_encoder": plain(seen),
                 "delay_table": plain(rows),
             },

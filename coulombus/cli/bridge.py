@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.options import argument, option, with_options
+from coulombus.cli.options import IdsOption, argument, option, with_options
 from coulombus.cli.tables import echo
 from coulombus.system.exit import printed, say, verdict
 
@@ -50,7 +50,7 @@ class Disturbance:
     ]
     seed: Annotated[int, option("Random seed.", default=0)]
 
-    def of(self, direction: int) -> Between:
+    def between(self, direction: int) -> Between:
         """Return the disturbance of one direction, 0 or 1, each with its own random numbers."""
         from coulombus.sim_bus.server.bridge import faults
 
@@ -62,9 +62,7 @@ class Disturbance:
 def bridge(
     a: Annotated[str, argument()],
     b: Annotated[str, argument()],
-    ids_text: Annotated[
-        str | None, option("--ids", "Only these identifiers, hexadecimal: 181,200-27F,00000123x.", metavar="IDS")
-    ],
+    ids_text: IdsOption,
     one_way: Annotated[bool, option("From A to B only.")],
     disturbance: Disturbance,
     seconds: Annotated[float | None, option("End after this many seconds.", type=click.FloatRange(0, min_open=True))],
@@ -101,8 +99,8 @@ def bridge(
 
         result = join(
             *ends,
-            between=disturbance.of(0),
-            back=disturbance.of(1),
+            between=disturbance.between(0),
+            back=disturbance.between(1),
             ranges=ranges,
             one_way=one_way,
             seconds=seconds,

@@ -71,7 +71,7 @@ def check(
             if as_json:
                 print_json(findings.document(steps))
             else:
-                findings.tell(steps)
+                findings.show(steps)
 
 
 def _hold_against(findings: _Findings, bus_name: str) -> None:
@@ -104,9 +104,9 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     """Return the errors of a rig file as problems: those of roles with their role, the others as their text."""
     from coulombus.rigs.problem import Problem
 
-    known = [problem._asdict() for problem in error.problems]
-    texts = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
-    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
+    problems = [problem._asdict() for problem in error.problems]
+    texts = [text for text in error.errors if not any(problem["text"] in text for problem in problems)]
+    return problems + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
 
 
 GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
@@ -162,9 +162,9 @@ class _Findings:
                 limits = () if further else torque_limits(axis.description("motor"), number)
                 named = [f"{index:04X}h" for index in limits]
                 self.limited_by[axis.prefix + mode] = " and ".join(named) or "(of the host alone)"
-                made = device_plans(controller)
-                self.by_mode.setdefault(mode, []).extend(made)
-                devices += made
+                bring_up = device_plans(controller)
+                self.by_mode.setdefault(mode, []).extend(bring_up)
+                devices += bring_up
         # each mode has its own limit
         self.problems = _once(problem for device in devices for problem in device.problems)
         self.questions: list[str] = _once(text for device in devices for text in device.questions)
@@ -253,7 +253,7 @@ class _Findings:
         }
         return document | ({"steps": self._steps()} if steps else {})
 
-    def tell(self, steps: bool) -> None:
+    def show(self, steps: bool) -> None:
         """Print everything as text."""
         from coulombus.host.laws.plane.plane_laws import builtin_laws
         from coulombus.rigs.draft.draft_text import CHECK

@@ -58,7 +58,7 @@ class Rehearsal:
 
 
 @dataclass(frozen=True)
-class Own:
+class CommissionedRig:
     """The rig file to write, and its bus, from the options."""
 
     rig_path: Annotated[
@@ -107,7 +107,7 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Doing:
+class StepOptions:
     """Selection and settings of the steps, from the options."""
 
     names: Annotated[tuple[str, ...], option("--step", "Only this step; may be given several times.", metavar="NAME")]
@@ -117,7 +117,7 @@ class Doing:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class ManualMeasurements:
     """Manual measurements for a step, from the options."""
 
     weight_Nm: Annotated[
@@ -150,10 +150,10 @@ class Paper:
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def commission(
-    own: Own,
-    doing: Doing,
+    rig: CommissionedRig,
+    doing: StepOptions,
     rehearsal: Rehearsal,
-    weighed: Weighed,
+    weighed: ManualMeasurements,
     report: Annotated[Path | None, option("Write the report there, too.", type=OutputFile(".html"), metavar="F.html")],
     operator: Annotated[str | None, option("Your name, for the report.  [default: the user's]", metavar="NAME")],
     overwrite: OverwriteOption,
@@ -178,22 +178,22 @@ def commission(
         from coulombus.host.commission.step import Given
         from coulombus.host.commission.steps import STEPS
 
-        chosen = _chosen(STEPS, doing.names)
+        steps = _selected(STEPS, doing.names)
         if doing.listed:
-            _print_list(chosen, own.rig_path, own.axis, as_json)
-        path = own.path()
+            _print_list(steps, rig.rig_path, rig.axis, as_json)
+        path = rig.path()
         if rehearsal.truth is not None and not rehearsal.virtual:
             raise click.UsageError("--truth is for --virtual")
-        if rehearsal.virtual and own.bus_name is not None:
+        if rehearsal.virtual and rig.bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
-        overrides = own.all_overrides()
+        overrides = rig.all_overrides()
         if not doing.yes and not _somebody():
             raise click.UsageError("no terminal to ask on: give --yes")
         load(str(path.resolve()), overrides)
-        run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
-        given = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
-        session = Session(path, run, given, _now, overrides, own.axis)
-        done = _commission(session, chosen, doing, Paper(report, operator))
+        run = rehearsal.runner(rig.axis) if rehearsal.virtual else _real(rig.bus_name, as_json)
+        values = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
+        session = Session(path, run, values, _now, overrides, rig.axis)
+        done = _commission(session, steps, doing, Paper(report, operator))
         asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)
         with verdict(1 if asked_for_what_lacks else 0):
             if as_json:
@@ -202,14 +202,15 @@ def commission(
                 _print_findings(done)
 
 
-def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
-    known = [step.name for step in steps]
+def _selected(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
+    names_of_steps = [step.name for step in steps]
     for name in names:
-        if name not in known:
+        if name not in names_of_steps:
             from coulombus.rigs.errors import nearest
 
             raise click.BadParameter(
-                f"{name!r}: expected one of {', '.join(known)}{nearest(name, known)}", param_hint="--step"
+                f"{name!r}: expected one of {', '.join(names_of_steps)}{nearest(name, names_of_steps)}",
+                param_hint="--step",
             )
     return tuple(step for step in steps if not names or step.name in names)
 
@@ -228,7 +229,7 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
                 echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
-def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, paper: Paper) -> list[StepEnd]:
+def _commission(session: Session, steps: tuple[Step, ...], doing: StepOptions, paper: Paper) -> list[StepEnd]:
     """Execute the steps, and return their results."""
     done: list[StepEnd] = []
     for step in steps:
@@ -237,7 +238,7 @@ def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, paper: 
             continue
         result = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
         done.append(result)
-        _tell(result)
+        _print_end(result)
         if result.what == "done":
             _report(session, paper)
     return done
@@ -285,7 +286,7 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
         raise KeyboardInterrupt from None
 
 
-def _tell(result: StepEnd) -> None:
+def _print_end(result: StepEnd) -> None:
     if result.what != "done":
         say(f"{result.step}: {result.what}{': ' + result.why if result.why else ''}")
         return

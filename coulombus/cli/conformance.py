@@ -13,7 +13,7 @@ import click
 
 from coulombus.cli.device_options import DevicesBusOption
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import OutputFile
+from coulombus.cli.option_types import UNCHECKED_PATH, OutputFile
 from coulombus.cli.options import JsonOption, option, with_options
 from coulombus.system.exit import printed, say
 
@@ -40,7 +40,7 @@ class Tested:
             "--eds",
             "EDS, DCF, XDD or XDC file of the device.",
             required=True,
-            type=click.Path(readable=False, path_type=Path),
+            type=UNCHECKED_PATH,
             metavar="E",
         ),
     ]

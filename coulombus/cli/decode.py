@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Annotated
 
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import InputPath
-from coulombus.cli.options import argument, option, with_options
+from coulombus.cli.options import JsonLinesOption, RecordingArgument, with_options
 from coulombus.cli.rig_options import LogOptions
 from coulombus.system.foreign_text import printable
 from coulombus.system.wrap_text import columns_of
@@ -21,9 +18,9 @@ __all__ = ["decode"]
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def decode(
-    file: Annotated[Path, argument(type=InputPath())],
+    file: RecordingArgument,
     log: LogOptions,
-    as_json: Annotated[bool, option("--json", "One JSON object a line to stdout.")],
+    as_json: JsonLinesOption,
 ) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 

@@ -38,7 +38,7 @@ class DemoOptions(RigOptions):
 
 @click.command(epilog=EXIT_STATUS)
 @with_options
-def demo(chosen: DemoOptions, as_json: JsonOption) -> None:
+def demo(options: DemoOptions, as_json: JsonOption) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
     still.
 
@@ -56,25 +56,25 @@ def demo(chosen: DemoOptions, as_json: JsonOption) -> None:
       coulombus demo --plane
       coulombus demo --seed 3 --out out/third
     """
-    if chosen.plane:
-        _plane(chosen, as_json)
+    if options.plane:
+        _plane(options, as_json)
         return
-    rig_name, out = chosen.rig_name, chosen.out
+    rig_name, out = options.rig_name, options.out
     with errors():
         from coulombus.lab.demo.demo import DEMO_MODES, TITLES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.reading import blocks
 
-        rig = load(rig_name, chosen.overrides).alone()
+        rig = load(rig_name, options.overrides).alone()
         missing = [mode for mode in DEMO_MODES if mode not in rig.modes]
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
         total = display_s(rig, None)
-        if chosen.virtual:
+        if options.virtual:
             with progress(not as_json) as report:
-                result = run_demo(rig, out, seed=chosen.seed, progress=lambda mode, t: report(mode, t, total))
+                result = run_demo(rig, out, seed=options.seed, progress=lambda mode, t: report(mode, t, total))
         else:
-            result = _real_demo(chosen, total, as_json)
+            result = _real_demo(options, total, as_json)
         shown = {name: run for name, run in displays(rig).items() if name in result.results}
         columns = {TITLES[name]: (run.mode, blocks(out / f"{name}.pcapng")) for name, run in shown.items()}
         figure_14(columns, out / "demo.png")
@@ -94,18 +94,18 @@ def demo(chosen: DemoOptions, as_json: JsonOption) -> None:
                     echo(f"  {command}\n      {why}")
 
 
-def _plane(chosen: DemoOptions, as_json: bool) -> None:
+def _plane(options: DemoOptions, as_json: bool) -> None:
     """Run the demo in the plane."""
-    rig_name, out = chosen.rig_name if chosen.names_rig else "plane", chosen.out
+    rig_name, out = options.rig_name if options.names_rig else "plane", options.out
     with errors():
         from coulombus.analysis.figures.plane_runs import draw_plane_demo
         from coulombus.lab.demo.plane_demo import run_plane_demo
         from coulombus.recording.pictures.plot import save_picture
 
-        rig = load(rig_name, chosen.overrides)
+        rig = load(rig_name, options.overrides)
         total = display_s(rig, None)
         with progress(not as_json) as report:
-            result = run_plane_demo(rig, out, seed=chosen.seed, progress=lambda mode, t: report(mode, t, total))
+            result = run_plane_demo(rig, out, seed=options.seed, progress=lambda mode, t: report(mode, t, total))
         save_picture(draw_plane_demo(result), out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:
@@ -160,20 +160,20 @@ def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str
     )
 
 
-def _real_demo(chosen: DemoOptions, total: float, as_json: bool) -> Demo:
+def _real_demo(options: DemoOptions, total: float, as_json: bool) -> Demo:
     from coulombus.lab.demo.real_demo import run_real_demo
     from coulombus.rigs.overrides import SHARED_MACHINE
     from coulombus.rigs.rig import load_rig
     from coulombus.system.stop_signals import Signals
 
-    both = (*SHARED_MACHINE, *chosen.overrides)
+    both = (*SHARED_MACHINE, *options.overrides)
     say("for a machine shared with others:\n" + "\n".join(f"  --set {text}" for text in SHARED_MACHINE))
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
-            load_rig(chosen.rig_name, both).alone(),
-            chosen.rig_name,
-            chosen.out,
-            seed=chosen.seed,
+            load_rig(options.rig_name, both).alone(),
+            options.rig_name,
+            options.out,
+            seed=options.seed,
             overrides=both,
             signals=signals,
             progress=lambda mode, t: report(mode, t, total),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import errors
-from coulombus.cli.option_types import SECONDS, InputPath
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, InputPath
 from coulombus.cli.options import ADAPTER, BUS_VARIABLE, RIG_VARIABLE, argument, option, with_adapter_options
 from coulombus.cli.rig_options import load
 from coulombus.system.exit import say
@@ -94,8 +94,8 @@ class NodeType(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
         text = str(value)
         if text.isdecimal() and 1 <= int(text) <= 127:
             return int(text)
-        given = None if ctx is None else ctx.params.get("rig_name")
-        rig_name = given if isinstance(given, str) else os.environ.get(RIG_VARIABLE)
+        text_of_rig = None if ctx is None else ctx.params.get("rig_name")
+        rig_name = text_of_rig if isinstance(text_of_rig, str) else os.environ.get(RIG_VARIABLE)
         if text.lstrip("+-").isdecimal() or rig_name is None:
             self.fail(
                 f"{text!r}: expected a node id, 1 to 127, or a node's name and its rig, as --rig bench (or COULOMBUS_RIG)",
@@ -178,7 +178,7 @@ class DeviceOptions:
         Path | None,
         option(
             "Its EDS, DCF, XDD or XDC file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
-            type=click.Path(readable=False, path_type=Path),
+            type=UNCHECKED_PATH,
             metavar="E",
         ),
     ]

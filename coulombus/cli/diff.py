@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import PICTURE, InputPath
-from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
+from coulombus.cli.option_types import PICTURE
+from coulombus.cli.options import JsonOption, OverwriteOption, RecordingArgument, option, with_options
 from coulombus.cli.rig_options import LogOptions
 from coulombus.cli.tables import echo, print_table, table_console
 from coulombus.system.exit import verdict
@@ -39,8 +39,8 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 @click.command("diff", epilog=EXIT_STATUS)
 @with_options
 def diff(
-    a: Annotated[Path, argument(type=InputPath())],
-    b: Annotated[Path, argument(type=InputPath())],
+    a: RecordingArgument,
+    b: RecordingArgument,
     tolerances: Annotated[
         dict[str, float],
         option(
@@ -72,12 +72,8 @@ def diff(
     """
     with errors():
         from coulombus.recording.comparison import compare
-        from coulombus.recording.output_file import new_file, reason_against
+        from coulombus.recording.output_file import new_file
 
-        remedy = "choose another name by -o, or replace it with --overwrite"
-        reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
-        if reason is not None:  # before two long recordings are read
-            raise click.UsageError(reason)
         comparison = compare(a, b, tolerances=tolerances, rig=log.rig_name, channel=log.channels, eds=log.files())
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences
@@ -90,7 +86,7 @@ def diff(
             if as_json:
                 print_json(_plain(comparison.as_dict()))
             else:
-                _tell(comparison)
+                _print_comparison(comparison)
 
 
 def _plain(value: Any) -> Any:
@@ -102,7 +98,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _tell(comparison: Comparison) -> None:
+def _print_comparison(comparison: Comparison) -> None:
     """Print the differences as text."""
     from rich.table import Table
 

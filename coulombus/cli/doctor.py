@@ -80,7 +80,7 @@ def doctor(
             elif as_json:
                 print_json([finding.as_dict() for finding in findings])
             else:
-                _tell(findings)
+                _print_findings(findings)
                 if measured is not None:
                     _draw(measured)
 
@@ -102,7 +102,7 @@ def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool)
     return measured, judge(measured, needs)
 
 
-def _tell(findings: Sequence[Finding]) -> None:
+def _print_findings(findings: Sequence[Finding]) -> None:
     import textwrap
 
     width = max(len(finding.check) for finding in findings)
@@ -129,8 +129,8 @@ def _draw(measured: Latency) -> None:
     for name in ("the cycle", *(["cyclictest"] if measured.cyclictest is not None else [])):
         table.add_column(name, justify="right")
         table.add_column("")
-    for late, own, bar, other, beside in bars(measured):
-        table.add_row(late, str(own), bar, *([] if other is None else [str(other), beside]))
+    for late, count, bar, other, beside in bars(measured):
+        table.add_row(late, str(count), bar, *([] if other is None else [str(other), beside]))
     table_console(WIDTH).print(table)
     if measured.reason:
         say(f"coulombus: {measured.reason}: there is no reference to compare with")

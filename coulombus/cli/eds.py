@@ -69,8 +69,8 @@ def check_command(
         results = [_check(file, node_id) for file in files]
         with verdict(READABLE if all(result["readable"] for result in results) else REFUSED):
             if as_json:
-                kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
-                echo(json.dumps(kept, indent=2))
+                rows = [{key: result[key] for key in result if key != "drawn"} for result in results]
+                echo(json.dumps(rows, indent=2))
             elif sarif:
                 echo(json.dumps(_sarif(results), indent=2))
             else:

@@ -74,7 +74,7 @@ class Realtime:
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def emulate(
-    chosen: BusesOptions,
+    bus_options: BusesOptions,
     seconds: Annotated[float | None, option("End after this many seconds.  [default: never]", type=SECONDS)],
     record: Annotated[
         Path | None,
@@ -108,14 +108,14 @@ def emulate(
         from coulombus.sim_bus.server.rig_server import SimServer
         from coulombus.sim_bus.server.sim_command import run_sim
 
-        rig = load_rig(chosen.rig_name, chosen.overrides)
-        addresses = chosen.addresses(rig)
+        rig = load_rig(bus_options.rig_name, bus_options.overrides)
+        addresses = bus_options.addresses(rig)
         settings = simulated.settings(rig)
         virtual = next(iter(addresses.values())).is_virtual
-        if chosen.channel is not None:
+        if bus_options.channel is not None:
             if rig.one_cycle and len(rig.channels) > 1:
-                raise click.UsageError(f"--channel {chosen.channel}: the joints of an arm are simulated together")
-            rig = rig.on(chosen.channel)
+                raise click.UsageError(f"--channel {bus_options.channel}: the joints of an arm are simulated together")
+            rig = rig.on(bus_options.channel)
         if record is not None and (simulated.unpaced or not rig.one_cycle or not virtual):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
@@ -123,7 +123,7 @@ def emulate(
         if len(rig.channels) > 1:
             page.refuse_several()
         if not rig.one_cycle:
-            child = ["emulate", *words(chosen, RigOptions), *words(realtime), *words(simulated)]
+            child = ["emulate", *words(bus_options, RigOptions), *words(realtime), *words(simulated)]
             child += [] if seconds is None else ["--seconds", str(seconds)]
             sys.exit(_sim_buses([*child, "--json"] if as_json else child, addresses))
         address = next(iter(addresses.values()))
@@ -133,7 +133,7 @@ def emulate(
                 rig, tuple(addresses.values()), record=record, force=overwrite, **settings[rig.channels[0]]
             )
 
-        with page.beside(chosen, address, "bus"):
+        with page.beside(bus_options, address, "bus"):
             run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import UNCHECKED_PATH
 from coulombus.cli.options import BusOption, JsonOption, SharedMachineOption, argument, option, with_options, words
 from coulombus.cli.rig_options import check_shared_machine
 from coulombus.cli.tables import echo
@@ -40,7 +41,7 @@ LAST_S = 0.5
 
 
 @dataclass(frozen=True)
-class Where:
+class BusOfStudy:
     """The bus of a study's displays, from the options."""
 
     bus_name: BusOption
@@ -69,7 +70,7 @@ class Answering:
 @click.command("experiment", epilog=EXIT_STATUS)
 @with_options
 def experiment_command(
-    file: Annotated[Path, argument(type=click.Path(readable=False, path_type=Path))],
+    file: Annotated[Path, argument(type=UNCHECKED_PATH)],
     out: Annotated[
         Path,
         option(
@@ -82,7 +83,7 @@ def experiment_command(
         ),
     ],
     subject: Annotated[str, option("The subject, by letters and digits: S01.", required=True, metavar="S")],
-    where: Where,
+    where: BusOfStudy,
     answering: Answering,
     as_json: JsonOption,
 ) -> None:
@@ -115,10 +116,10 @@ def experiment_command(
         if answering.port is not None and not answering.page:
             raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
-        known = "a person"
+        observer = "a person"
         if answering.observer is not None:
-            known = f"simulated, JND {answering.observer:g}" + " Nm felt" * answering.felt
-        meta = {"observer": known}
+            observer = f"simulated, JND {answering.observer:g}" + " Nm felt" * answering.felt
+        meta = {"observer": observer}
         if answering.observer is None:
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
         displays, meta["bus"] = _displays(study, where)
@@ -131,10 +132,10 @@ def experiment_command(
                 again = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
                 again += [*words(answering), *words(where)]
                 say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(again)}")
-            _tell(came, out, as_json)
+            _print_session(came, out, as_json)
 
 
-def _displays(study: Study, where: Where) -> tuple[Displays, str]:
+def _displays(study: Study, where: BusOfStudy) -> tuple[Displays, str]:
     from coulombus.lab.study.displays import BusDisplays, VirtualDisplays
     from coulombus.rigs.overrides import shared_machine
     from coulombus.wire.address import default_address, parse_address
@@ -183,7 +184,7 @@ def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
         yield _at_the_terminal(study)
 
 
-def _tell(session: Session, out: Path, as_json: bool) -> None:
+def _print_session(session: Session, out: Path, as_json: bool) -> None:
     if as_json:
         print_json(session.as_dict())
     else:
@@ -199,18 +200,18 @@ def _at_the_terminal(study: Study) -> People:
     def go_on(text: str) -> bool:
         say(text)
         while True:
-            given = _key("Continue? y or q:", "yq")
-            if given in ("y", "q", None):
-                return given == "y"
+            answer = _key("Continue? y or q:", "yq")
+            if answer in ("y", "q", None):
+                return answer == "y"
 
     def ask(trial: Trial) -> str | None:
         expected = "a number of 0 or more" if trial.reference is None else "1 or 2"
         while True:
-            given = _key(f"{study.file.question} ({expected}; q: stop)", "" if trial.reference is None else "12q")
-            if given is None or given == "q":
+            answer = _key(f"{study.file.question} ({expected}; q: stop)", "" if trial.reference is None else "12q")
+            if answer is None or answer == "q":
                 return None
-            if is_answer(given, trial):
-                return given
+            if is_answer(answer, trial):
+                return answer
 
     return People(tell=say, ask=ask, go_on=go_on, clock=time.monotonic)
 
@@ -221,8 +222,8 @@ def _key(text: str, keys: str) -> str | None:
     """
     echo(f"{text} ", err=True, nl=False)
     if not (keys and in_foreground()):
-        given = sys.stdin.readline()
-        return given.strip() if given else None
+        answer = sys.stdin.readline()
+        return answer.strip() if answer else None
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     try:

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.option_types import SECONDS, OutputFile
 from coulombus.cli.options import (
     ADAPTER,
     FileChannelOption,
     JsonOption,
     LogEdsOption,
+    OptionalRecordingArgument,
     OverwriteOption,
+    SpanOption,
     argument,
     option,
     with_adapter_options,
@@ -38,15 +40,6 @@ COURSE = 29
 """Column of the text in a line of an incident's course."""
 
 
-def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
-
-    try:
-        return (None, None) if text is None else parse_span(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-
-
 @dataclass(frozen=True)
 class Knowledge:
     """Rig, EDS files and span for the explanation, from the options."""
@@ -56,10 +49,7 @@ class Knowledge:
     ]
     eds: LogEdsOption
     channels: FileChannelOption
-    span: Annotated[
-        tuple[float | None, float | None],
-        option("From A to B, in s, as 3:5, 2.5: or :10.  [default: all]", callback=_span, metavar="A:B"),
-    ]
+    span: SpanOption
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; report unreadable files of a folder."""
@@ -82,7 +72,7 @@ class ExplainOutputs:
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def explain(
-    file: Annotated[Path | None, argument(required=False, type=InputPath())],
+    file: OptionalRecordingArgument,
     number: Annotated[int | None, argument(required=False, type=click.IntRange(1), metavar="[N]")],
     bus_name: Annotated[
         str | None,
@@ -140,11 +130,11 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
     from coulombus.explain.live_bus import explain_bus
     from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-    def tell(explanation: Explanation, incident: Incident) -> None:
+    def print_news(explanation: Explanation, incident: Incident) -> None:
         if not as_json:
             say(news(explanation, incident))
 
-    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), tell, rig=rig, eds=files, seconds=seconds)
+    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), print_news, rig=rig, eds=files, seconds=seconds)
 
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import OutputFile
+from coulombus.cli.option_types import OutputFile, output_named_after
 from coulombus.cli.options import OverwriteOption, RecordingArgument, SignalsOption, option, with_options
 from coulombus.cli.rig_options import LogOptions
 from coulombus.cli.tables import progress
@@ -88,19 +88,13 @@ def export_command(
     with errors():
         from coulombus.recording.export.export import KINDS as SUFFIXES
         from coulombus.recording.export.export import export
-        from coulombus.recording.output_file import named_after, reason_against
 
         if kind is None:
             kind = _kind_of(out, SUFFIXES)
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
         files = log.files()
-        place = out or named_after(file, SUFFIXES[kind])
-        reason = reason_against(
-            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
-        )
-        if reason is not None:
-            raise click.UsageError(reason)
+        place = out or output_named_after(file, SUFFIXES[kind], overwrite)
         with progress(not as_json, "exported") as report:
             exported = export(
                 file,

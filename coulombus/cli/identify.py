@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import PICTURE, InputPath
-from coulombus.cli.options import FileChannelOption, JsonOption, OverwriteOption, argument, option, with_options
+from coulombus.cli.option_types import PICTURE
+from coulombus.cli.options import (
+    FileChannelOption,
+    JsonOption,
+    OverwriteOption,
+    RecordingArgument,
+    option,
+    with_options,
+)
 from coulombus.cli.tables import echo, on_terminal
 from coulombus.system.exit import printed, say
 
@@ -26,7 +33,7 @@ __all__ = ["identify"]
 class IdentifyOptions:
     """A recording or a table, the model, and the form of the result."""
 
-    file: Annotated[Path, argument(type=InputPath())]
+    file: RecordingArgument
     rig_name: Annotated[str | None, option("--rig", "Decode with this rig instead of the attached one.", metavar="R")]
     figure: Annotated[
         Path | None,

@@ -74,11 +74,11 @@ class Wishes:
             raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
         if len(self.sensor_ids) > len(self.sensors):
             raise click.UsageError("--sensor-id is given more often than --sensor")
-        given = [node_id for node_id in (self.drive_id, self.brake_id, *self.sensor_ids) if node_id is not None]
-        if len(set(given)) < len(given):
+        node_ids = [node_id for node_id in (self.drive_id, self.brake_id, *self.sensor_ids) if node_id is not None]
+        if len(set(node_ids)) < len(node_ids):
             raise click.UsageError("each device has a node id of its own")
 
-    def wanted(self) -> list[DeviceChoice]:
+    def devices(self) -> list[DeviceChoice]:
         """Return the devices by their names in the rig file."""
         from coulombus.rigs.draft.discover import DeviceChoice
 
@@ -150,7 +150,7 @@ def init(
 
         folder = None if output is None else output.parent.resolve()
         answered = {} if bus_name is None else _answered(bus_name, wishes.drive_axis)
-        devices = gather(wishes.wanted(), folder, answered, eds_folder)
+        devices = gather(wishes.devices(), folder, answered, eds_folder)
         path = "rig.toml" if output is None else str(output)
         draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse, accept=accepted)
         if rehearse:

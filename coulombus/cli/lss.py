@@ -135,11 +135,11 @@ def lss(
                 [] if assignment.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
             )
             if assignment.changes:
-                chosen = identities if assignment.everybody else [assignment.identity or only(identities)]
-                ids = [None if assignment.node_id is None else assignment.node_id + k for k in range(len(chosen))]
+                devices = identities if assignment.everybody else [assignment.identity or only(identities)]
+                ids = [None if assignment.node_id is None else assignment.node_id + k for k in range(len(devices))]
                 if assignment.node_id is not None:
                     check_free(link, [node_id for node_id in ids if node_id is not None], show)
-                for identity, new in zip(chosen, ids, strict=True):
+                for identity, new in zip(devices, ids, strict=True):
                     show(f"setting {identity}")
                     numbered.append(
                         give(

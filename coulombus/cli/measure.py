@@ -32,7 +32,7 @@ MARK = "measured by coulombus measure"
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def measure(
-    chosen: OneBusOptions,
+    bus_options: OneBusOptions,
     rounds: Annotated[int, option("SYNCs for each device.", type=click.IntRange(10, 100_000), default=500)],
     cycles: Annotated[int, option("Cycles of the host.", type=click.IntRange(100, 1_000_000), default=2000)],
     write: Annotated[bool, option("Write the values into the rig file; the old file is kept next to it.")],
@@ -59,10 +59,10 @@ def measure(
         from coulombus.rigs.buses import one_bus
         from coulombus.rigs.plan.rig_plan import plan
 
-        rig = chosen.load()
+        rig = bus_options.load()
         if write:
-            _refuse_to_write(chosen.rig_name, rig, chosen.overrides)
-        on_bus, address = one_bus(rig, chosen.bus_name, chosen.channel)
+            _refuse_to_write(bus_options.rig_name, rig, bus_options.overrides)
+        on_bus, address = one_bus(rig, bus_options.bus_name, bus_options.channel)
         with _progress(not as_json, rounds, cycles) as report:
             measured = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
         numbers = measured.numbers(on_bus)
@@ -83,7 +83,7 @@ def measure(
             if as_json:
                 print_json(document)
             else:
-                _print(document, chosen.rig_name)
+                _print(document, bus_options.rig_name)
 
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.option_types import SECONDS
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH
 from coulombus.cli.options import ADAPTER, BUS_VARIABLE, argument, option, with_adapter_options, with_options
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class Served:
         ),
     ]
 
-    def of(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
+    def nodes(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
         """Return the nodes of these EDS files.
 
         Raises
@@ -216,7 +216,7 @@ class LoadOptions:
 def node_command(
     eds: Annotated[
         tuple[Path, ...],
-        argument(nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path)),
+        argument(nargs=-1, required=True, metavar="EDS...", type=UNCHECKED_PATH),
     ],
     bus: Annotated[
         str,
@@ -259,4 +259,4 @@ def node_command(
         from coulombus.sim_bus.server.live_nodes import run_nodes
         from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-        run_nodes(served.of(eds, as_json, load.load()), parse_address(bus, WITH_ADAPTERS), seconds)
+        run_nodes(served.nodes(eds, as_json, load.load()), parse_address(bus, WITH_ADAPTERS), seconds)

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import click
 
-from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, InputPath, OutputFile
 
 __all__ = [
     "ADAPTER",
@@ -30,10 +30,13 @@ __all__ = [
     "DisplaySecondsOption",
     "FaultsOption",
     "FileChannelOption",
+    "IdsOption",
+    "JsonLinesOption",
     "JsonOption",
     "LogEdsOption",
     "ModeOption",
     "OneChannelOption",
+    "OptionalRecordingArgument",
     "OverwriteOption",
     "RecordOption",
     "RecordingArgument",
@@ -43,6 +46,7 @@ __all__ = [
     "SetOption",
     "SharedMachineOption",
     "SignalsOption",
+    "SpanOption",
     "argument",
     "listed",
     "option",
@@ -153,7 +157,7 @@ def words(values: Any, kind: type[Any] | None = None, *, without: Collection[str
             texts.append(declared.flags[0])
         elif value is not None and value is not False:
             for each in value if isinstance(value, tuple) else (value,):
-                texts += [declared.flags[0], str(each).removesuffix(".0")]
+                texts += [declared.flags[0], str(each).removesuffix(".0") if isinstance(each, float) else str(each)]
     return texts
 
 
@@ -191,6 +195,15 @@ def with_adapter_options(context: click.Context, param: click.Parameter, bus_nam
     return f"{bus_name}{'&' if '?' in bus_name else '?'}{'&'.join(pairs)}"
 
 
+def _span(context: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
+    from coulombus.recording.span import parse_span
+
+    try:
+        return (None, None) if text is None else parse_span(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
 RigOption = Annotated[
     str,
     option(
@@ -224,7 +237,7 @@ FaultsOption = Annotated[
     option(
         "--faults",
         "A fault file: what goes wrong on the bus, and when.",
-        type=click.Path(readable=False, path_type=Path),
+        type=UNCHECKED_PATH,
         metavar="F.toml",
     ),
 ]
@@ -233,7 +246,7 @@ ScriptOption = Annotated[
     option(
         "--script",
         "Switch nodes off and on, reset them, let device faults come and go at given times.",
-        type=click.Path(readable=False, path_type=Path),
+        type=UNCHECKED_PATH,
         metavar="F.toml",
     ),
 ]
@@ -280,6 +293,7 @@ ChannelOption = Annotated[
 OneChannelOption = Annotated[str | None, option("--channel", "Bus of a rig, or of a file, with several.", metavar="C")]
 
 RecordingArgument = Annotated[Path, argument(type=InputPath())]
+OptionalRecordingArgument = Annotated[Path | None, argument(required=False, type=InputPath())]
 FileChannelOption = Annotated[
     tuple[str, ...],
     option("--channel", "Bus of a file with several; RIG_BUS=NAME for a rig with several.", metavar="NAME"),
@@ -302,6 +316,13 @@ SignalsOption = Annotated[
         metavar="A,B",
     ),
 ]
+SpanOption = Annotated[
+    tuple[float | None, float | None],
+    option("From A to B, in s, as 3:5, 2.5: or :10.  [default: all]", callback=_span, metavar="A:B"),
+]
+IdsOption = Annotated[
+    str | None, option("--ids", "Only these identifiers, hexadecimal: 181,200-27F,00000123x.", metavar="IDS")
+]
 
 RecordOption = Annotated[
     Path | None,
@@ -309,3 +330,4 @@ RecordOption = Annotated[
 ]
 OverwriteOption = Annotated[bool, option("--overwrite", "--force", "Overwrite existing files.", is_eager=True)]
 JsonOption = Annotated[bool, option("--json", "Print the result as JSON to stdout.")]
+JsonLinesOption = Annotated[bool, option("--json", "One JSON object a line to stdout.")]

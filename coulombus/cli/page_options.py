@@ -69,7 +69,7 @@ class PageOptions:
 
     @contextmanager
     def beside(
-        self, chosen: BusesOptions, address: BusAddress, view: str = "plots"
+        self, bus_options: BusesOptions, address: BusAddress, view: str = "plots"
     ) -> Iterator[Callable[[float], None]]:
         """Serve the page of a bus in a separate process during the block, if requested.
 
@@ -80,7 +80,7 @@ class PageOptions:
         if not self.web:
             yield lambda seconds: None
             return
-        options = ["--bus", str(address), *words(chosen, BusesOptions, without=["bus_names"])]
+        options = ["--bus", str(address), *words(bus_options, BusesOptions, without=["bus_names"])]
         options += words(self, PageOptions)
         command = [sys.executable, "-m", "coulombus", "watch", "--beside", view, *options]
         child = None
@@ -144,11 +144,11 @@ def serve_page(
         from coulombus.monitor.web.page_state import HostDoor
         from coulombus.monitor.web.server import Shown, serve
 
-    kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
+    token_file = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
     door = HostDoor(
         status=lambda: ask_status(address, 1.0),
         stop=lambda: stop_host(address),
-        change=lambda order: ask_change(address, order, 1.0),
+        change=lambda request: ask_change(address, request, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,
         ring=law_ring,
@@ -158,7 +158,9 @@ def serve_page(
         start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),
     )
     serve(
-        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept), _fault_door(address, page)),
+        Shown(
+            rig, address, door, kept_token(socket_path(address.kind).parent / token_file), _fault_door(address, page)
+        ),
         lambda url: _ready(url + ("#bus" if beside == "bus" else ""), as_json),
         host=page.web_host,
         port=page.web_port,

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from coulombus.cli.device_options import open_link
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS, InputPath
-from coulombus.cli.options import ADAPTER, JsonOption, argument, option, with_adapter_options, with_options
+from coulombus.cli.option_types import SECONDS
+from coulombus.cli.options import (
+    ADAPTER,
+    JsonOption,
+    OptionalRecordingArgument,
+    option,
+    with_adapter_options,
+    with_options,
+)
 from coulombus.cli.rig_options import KnownBusOptions
 from coulombus.cli.tables import echo
 from coulombus.system.exit import printed
@@ -26,8 +32,8 @@ __all__ = ["pdo"]
 @click.command(epilog=EXIT_STATUS)
 @with_options
 def pdo(
-    file: Annotated[Path | None, argument(required=False, type=InputPath())],
-    chosen: KnownBusOptions,
+    file: OptionalRecordingArgument,
+    bus_options: KnownBusOptions,
     bus_name: Annotated[
         str | None,
         option(
@@ -66,26 +72,26 @@ def pdo(
         if file is not None:
             if bus_name is not None or node_id is not None:
                 raise click.UsageError("a FILE and --bus or --node: give one of them")
-            known = chosen.of_file(file)
+            bus = bus_options.of_file(file)
         elif node_id is None:
-            known, address = chosen.known(bus_name)
+            bus, address = bus_options.known(bus_name)
         else:
-            known, address = _of_node(chosen, bus_name, node_id)
+            bus, address = _of_node(bus_options, bus_name, node_id)
         now: dict[int, PdoRow] = {}
         if bus_name is not None:
             from coulombus.monitor.watch import look_once
 
-            now = {row.can_id: row for row in look_once(known, address, seconds).pdos}
+            now = {row.can_id: row for row in look_once(bus, address, seconds).pdos}
         if as_json:
-            print_json([as_dict(pdo, now.get(pdo.layout.cob_id)) for pdo in known.pdos])
+            print_json([as_dict(pdo, now.get(pdo.layout.cob_id)) for pdo in bus.pdos])
             return
         with printed():
-            for pdo in known.pdos:
+            for pdo in bus.pdos:
                 for line in as_lines(pdo, now.get(pdo.layout.cob_id)):
                     echo(line)
 
 
-def _of_node(chosen: KnownBusOptions, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
+def _of_node(bus_options: KnownBusOptions, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
     """Ask a node for its PDOs; return them, and the bus' address."""
     from coulombus.host.devices.dictionary_scan import pdo_objects
     from coulombus.host.sdo.sdo_client import SdoClient
@@ -94,9 +100,9 @@ def _of_node(chosen: KnownBusOptions, bus_name: str | None, node_id: int) -> tup
 
     if bus_name is None:
         raise click.UsageError("--node is a device on a bus: name it with --bus")
-    if chosen.rig_on_command_line or chosen.overrides:
+    if bus_options.rig_on_command_line or bus_options.overrides:
         raise click.UsageError("--node asks the device: leave --rig and --set out")
-    files = chosen.files()
+    files = bus_options.files()
     with open_link(bus_name, beside=True) as link:
         objects = pdo_objects(SdoClient(link, node_id))
     return KnownBus.of_device(node_id, objects, files), parse_address(bus_name, WITH_ADAPTERS)

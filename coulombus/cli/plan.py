@@ -145,11 +145,11 @@ def _print(document: dict[str, Any]) -> None:
 
     def build(left: Collection[str]) -> Table:
         table = Table(box=None, pad_edge=False, header_style="bold")
-        kept = [place for place, heading in enumerate(HEADINGS) if heading not in left]
-        for place in kept:
+        columns = [place for place, heading in enumerate(HEADINGS) if heading not in left]
+        for place in columns:
             table.add_column(HEADINGS[place], justify="left" if place < LEFT else "right", no_wrap=True)
         for cells in rows:
-            table.add_row(*(cells[place] for place in kept))
+            table.add_row(*(cells[place] for place in columns))
         return table
 
     print_fitting(table_console(WIDTH), build, ("block", "jitter", "bits", "due"))
@@ -302,7 +302,7 @@ class Times:
 @click.command("plan", epilog=EXIT_STATUS)
 @with_options
 def plan_command(
-    chosen: RigOptions,
+    options: RigOptions,
     as_json: JsonOption,
     traffic: Traffic,
     times: Times,
@@ -328,7 +328,7 @@ def plan_command(
     with errors():
         from coulombus.rigs.plan.rig_plan import plans
 
-        rig = chosen.load()
+        rig = options.load()
         try:
             by_channel = plans(rig, **traffic.options(), assumptions=times.assumptions())
         except ValueError as error:

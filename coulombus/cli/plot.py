@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import PICTURE
-from coulombus.cli.options import OverwriteOption, RecordingArgument, SignalsOption, option, with_options
+from coulombus.cli.option_types import PICTURE, output_named_after
+from coulombus.cli.options import OverwriteOption, RecordingArgument, SignalsOption, SpanOption, option, with_options
 from coulombus.cli.rig_options import LogOptions
 from coulombus.system.exit import say, verdict
 
@@ -21,15 +21,6 @@ __all__ = ["plot_command"]
 
 SIZES_CM = (2.0, 100.0)
 """The least and the largest width and height of a picture."""
-
-
-def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
-
-    try:
-        return (None, None) if text is None else parse_span(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
 
 
 def _size(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -74,10 +65,7 @@ def _not_visible(data: Plot) -> list[str]:
 def plot_command(
     file: RecordingArgument,
     signals: SignalsOption,
-    span: Annotated[
-        tuple[float | None, float | None],
-        option("From A to B, in s, as 3:5, 2.5: or :10.  [default: all]", callback=_span, metavar="A:B"),
-    ],
+    span: SpanOption,
     out: Annotated[
         Path | None,
         option("-o", "--out", "A .png, .svg or .pdf.  [default: FILE, as .png]", type=PICTURE, metavar="F.png"),
@@ -99,21 +87,16 @@ def plot_command(
       coulombus plot run.pcapng --title "Subject 3, hybrid" --size 16x9 --dpi 300
     """
     with errors():
-        from coulombus.recording.output_file import named_after, new_file, reason_against
+        from coulombus.recording.output_file import new_file
         from coulombus.recording.pictures.plot import Look, figure_of, save_picture, traces_of
         from coulombus.recording.reading import blocks
 
-        place = out or named_after(file, ".png")
-        reason = reason_against(
-            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
-        )
-        if reason is not None:
-            raise click.UsageError(reason)
+        place = out or output_named_after(file, ".png", overwrite)
         source = blocks(file, log.rig_name, log.channels, eds=log.files())
         data = traces_of(source, signals, span)
-        made = figure_of(data, Look(look.title, look.size_cm, look.dpi))
+        figure = figure_of(data, Look(look.title, look.size_cm, look.dpi))
         with new_file(place, force=overwrite) as path:
-            save_picture(made, path, look.dpi)
+            save_picture(figure, path, look.dpi)
         with verdict(0):
             remark(source.remarks)
             say(f"{place}: drawn")

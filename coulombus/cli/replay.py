@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import InputPath
-from coulombus.cli.options import FileChannelOption, JsonOption, argument, option, with_options
+from coulombus.cli.options import (
+    FileChannelOption,
+    IdsOption,
+    JsonOption,
+    RecordingArgument,
+    option,
+    with_options,
+)
 from coulombus.cli.tables import echo, progress
 from coulombus.system.errors import CoulombusError
 from coulombus.system.exit import printed, verdict
@@ -37,34 +43,32 @@ class Choice:
 
     from_s: Annotated[float | None, option("Begin there, in the time that `coulombus decode` shows.", type=float)]
     to_s: Annotated[float | None, option("End there.", type=float)]
-    ids_text: Annotated[
-        str | None, option("--ids", "Only these identifiers, hexadecimal: 181,200-27F,00000123x.", metavar="IDS")
-    ]
+    ids_text: IdsOption
     nodes: Annotated[tuple[int, ...], option("--node", "Only what this node sent.", type=click.IntRange(1, 127))]
     only_host: Annotated[bool, option("Only what the host sent: SYNC, NMT, RPDOs, SDO requests.")]
     channels: FileChannelOption
 
-    def of(self, tape: Tape, rig_name: str | None) -> Tape:
+    def select(self, tape: Tape, rig_name: str | None) -> Tape:
         """Return the selected frames."""
         import numpy as np
 
         from coulombus.recording.frame_sender import HOST, rig_of, senders
         from coulombus.wire.identifiers import among, parse_identifiers
 
-        chosen = np.ones(len(tape.frames), bool)
+        selected = np.ones(len(tape.frames), bool)
         if self.from_s is not None:
-            chosen &= tape.t_ns >= round(self.from_s * 1e9)
+            selected &= tape.t_ns >= round(self.from_s * 1e9)
         if self.to_s is not None:
-            chosen &= tape.t_ns <= round(self.to_s * 1e9)
+            selected &= tape.t_ns <= round(self.to_s * 1e9)
         if self.ids_text is not None:
-            chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
+            selected &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
         if self.nodes or self.only_host:
             nodes = (*self.nodes, HOST) if self.only_host else self.nodes
             rig = rig_of(tape.path, rig_name)
             if rig is not None and len(rig.channels) > 1:
                 rig = self._on_bus(rig)
-            chosen &= np.isin(senders(tape.frames["can_id"], rig), nodes)
-        return tape.take(chosen)
+            selected &= np.isin(senders(tape.frames["can_id"], rig), nodes)
+        return tape.take(selected)
 
     def _on_bus(self, rig: Rig) -> Rig:
         """Return the rig's part on the played bus, if --channel names it."""
@@ -120,7 +124,7 @@ class Otherwise:
 @click.command("replay", epilog=EXIT_STATUS)
 @with_options
 def replay(
-    file: Annotated[Path, argument(type=InputPath())],
+    file: RecordingArgument,
     bus_name: Annotated[str | None, option("--bus", "Play it there: coulombus:NAME or socketcan:IF.", metavar="B")],
     as_host: Annotated[bool, option("--host", "Feed the host with it, and compare its outputs.")],
     virtual: Annotated[bool, option("Feed a virtual bus with it, and compare the frames.")],
@@ -225,7 +229,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
     from coulombus.wire.socketcan import is_virtual
 
     address = parse_address(bus_name)
-    tape = choice.of(load_tape(file, choice.channels), rig_name)
+    tape = choice.select(load_tape(file, choice.channels), rig_name)
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")

@@ -160,7 +160,7 @@ class OneBusOptions(RigOptions):
     bus_name: BusOption
     channel: OneChannelOption
 
-    def found(self) -> tuple[Rig, BusAddress]:
+    def resolve(self) -> tuple[Rig, BusAddress]:
         """Return the rig of the bus, and the bus' address."""
         from coulombus.rigs.buses import one_bus
 
@@ -194,13 +194,13 @@ class KnownBusOptions(RigOptions):
         if not self.eds:
             rig, address = one_bus(self.load(), bus_name, self.channel, WITH_ADAPTERS)
             return KnownBus.of_rig(rig), address
-        known = KnownBus.of_eds(files)
-        remark(known.remarks)
-        if not (known.nodes or self.finds_nodes):
+        bus = KnownBus.of_eds(files)
+        remark(bus.remarks)
+        if not (bus.nodes or self.finds_nodes):
             reason = "an EDS file has no node id, and nothing here shows it"
             raise click.UsageError(f"--eds: {reason}; name the node of each file, as in --eds 5=drive.eds")
         address = default_address(self.rig_name) if bus_name is None else parse_address(bus_name, WITH_ADAPTERS)
-        return known, address
+        return bus, address
 
     def of_file(self, file: Path) -> KnownBus:
         """Return what is known of a recording's bus: by rig or EDS files, given or attached, and by its SDO."""

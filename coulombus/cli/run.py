@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import CPU, PICTURE, SECONDS, SECONDS_OR_NONE, RecordingPlace
+from coulombus.cli.option_types import CPU, PICTURE, SECONDS, SECONDS_OR_NONE, UNCHECKED_PATH, RecordingPlace
 from coulombus.cli.options import (
     JsonOption,
     ModeOption,
@@ -106,7 +106,7 @@ class OutputOptions:
         Path | None,
         option(
             "Make a socket there that sends the state, a JSON line every 100 ms, to each reader.",
-            type=click.Path(readable=False, path_type=Path),
+            type=UNCHECKED_PATH,
             metavar="SOCKET",
         ),
     ]
@@ -342,9 +342,9 @@ def _run_buses(
     from coulombus.host.run.runbook import advice
 
     def arguments(channel: str) -> list[str]:
-        there = ((option, path_on(path, channel)) for option, path in files.items())
-        own = [word for option, path in there for word in (option, str(path))]
-        return [*child, *own, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
+        places = ((option, path_on(path, channel)) for option, path in files.items())
+        file_words = [word for option, path in places for word in (option, str(path))]
+        return [*child, *file_words, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
 
     buses = supervise(list(addresses), arguments)
     whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})

@@ -78,8 +78,8 @@ def scan(
         remarks: list[str] = []
         files: list[Description] = list(packaged())
         if eds_folder is not None:
-            there, refused = read_folder(eds_folder)
-            files = [*there, *files]
+            described, refused = read_folder(eds_folder)
+            files = [*described, *files]
             remarks += [f"{len(refused)} files of {eds_folder} cannot be read: {refused[0]}"] if refused else []
         if bitrates:
             _choose_bit_rate(bus_name)

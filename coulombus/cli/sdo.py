@@ -19,7 +19,7 @@ from coulombus.cli.device_options import (
     open_link,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS, OutputFile
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, OutputFile
 from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, table_console
 from coulombus.system.exit import say, verdict
@@ -150,15 +150,15 @@ def set_command(
             data = device.parse(variable, value, type_name=type_name)
             back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
         commands = variable.index in STATE_BEHIND_COMMAND and back is not None
-        kept = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
-        with verdict(0 if kept else CHECK_FAILED):
+        equal = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
+        with verdict(0 if equal else CHECK_FAILED):
             if as_json:
                 print_json(None if back is None else back.as_dict(node_id))
             else:
                 echo("written; it can only be written" if back is None else str(back))
                 if commands:
                     say(f"coulombus: {data.hex(' ')} was taken; a write of this object is a command")
-            if not kept:
+            if not equal:
                 say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
 
 
@@ -223,7 +223,7 @@ def _described(device: KnownDevice) -> Any:
 @with_options
 def restore(
     node_id: NodeArgument,
-    dcf: Annotated[Path, argument(type=click.Path(readable=False, path_type=Path), metavar="F.dcf")],
+    dcf: Annotated[Path, argument(type=UNCHECKED_PATH, metavar="F.dcf")],
     bus_name: DevicesBusOption,
     timeout_s: TimeoutOption,
     beside: BesideOption,

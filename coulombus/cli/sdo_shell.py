@@ -110,8 +110,8 @@ class Shell(cmd.Cmd):
 
     def default(self, line: str) -> None:
         """Refuse an unknown command."""
-        known = ", ".join(name[3:] for name in self.get_names() if name.startswith("do_") and name != "do_EOF")
-        raise click.UsageError(f"{line.split()[0]!r} is not a command; expected one of {known}")
+        commands = ", ".join(name[3:] for name in self.get_names() if name.startswith("do_") and name != "do_EOF")
+        raise click.UsageError(f"{line.split()[0]!r} is not a command; expected one of {commands}")
 
     # completion
 

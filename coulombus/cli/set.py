@@ -66,10 +66,10 @@ class Manner:
         str, option("The arm key that `coulombus run` has printed, on a real rig.", default="", metavar="KEY")
     ]
 
-    def order(self, values: dict[str, float]) -> dict[str, Any]:
-        """Return the order for the host."""
-        order: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
-        return order if self.over_s is None else {**order, "over_s": self.over_s}
+    def request(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return the request to the host."""
+        request: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
+        return request if self.over_s is None else {**request, "over_s": self.over_s}
 
 
 @click.command("set", epilog=EXIT_STATUS)
@@ -103,7 +103,7 @@ def set_command(
         if others:
             names = ", ".join(map(str, (address, *others)))
             raise click.UsageError(f"the rig has the buses {names}; name one with --channel or --bus")
-        reply = ask_change(address, manner.order(values))
+        reply = ask_change(address, manner.request(values))
         with verdict(0):
             if as_json:
                 print_json(reply)

@@ -105,7 +105,7 @@ def _refuse_beside_like() -> None:
 @click.command("simulate", epilog=EXIT_STATUS)
 @with_options
 def simulate_command(
-    chosen: RunOptions,
+    options: RunOptions,
     files: Files,
     as_json: JsonOption,
 ) -> None:
@@ -129,7 +129,7 @@ def simulate_command(
         from coulombus.lab.simulate import virtual_run
         from coulombus.sim_bus.faults.lines import injected_lines
 
-        run = chosen.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
+        run = options.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
         with progress(not as_json) as report:
             result = virtual_run(run, progress=lambda t: report(run.mode, t, run.seconds))
         remark((*(result.opened or ()), *(result.losses or ())))

@@ -46,7 +46,7 @@ def status(
                 print_json(states[0] if len(states) == 1 else states)
             else:
                 for state in states:
-                    _tell(state)
+                    _print_state(state)
 
 
 def _state(address: BusAddress) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def _state(address: BusAddress) -> dict[str, Any]:
         raise NoHost(f"{text}; what to do: {command}" if command else text) from None
 
 
-def _tell(state: dict[str, Any]) -> None:
+def _print_state(state: dict[str, Any]) -> None:
     """Print a host's state as text."""
     shown = state.get("display_s")
     since = "not yet displaying" if shown is None else f"displaying for {_number(shown)} s"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import UNCHECKED_PATH
 from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, running
 from coulombus.system.exit import say, verdict
@@ -29,7 +30,7 @@ TOLD_EVERY_S = 10.0
 @click.command("sweep", epilog=EXIT_STATUS)
 @with_options
 def sweep_command(
-    file: Annotated[Path, argument(type=click.Path(readable=False, path_type=Path))],
+    file: Annotated[Path, argument(type=UNCHECKED_PATH)],
     out: Annotated[
         Path,
         option(
@@ -107,10 +108,10 @@ def sweep_command(
             if as_json:
                 print_json(result.as_dict())
             else:
-                _tell(result, sweep.seconds)
+                _print_result(result, sweep.seconds)
 
 
-def _tell(result: SweepResult, seconds: float | None) -> None:
+def _print_result(result: SweepResult, seconds: float | None) -> None:
     """Print the result of a sweep."""
     for rate in result.rates.values():
         echo(rate.text)

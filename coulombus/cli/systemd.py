@@ -80,13 +80,13 @@ def systemd(
             user=user,
             bridge=bridge,
         )
-        made = {folder / name: text for name, text in files(service).items()}
+        texts = {folder / name: text for name, text in files(service).items()}
         folder.mkdir(parents=True, exist_ok=True)
-        for path in made:  # all or none
+        for path in texts:  # all or none
             check_output(path, force=overwrite)
-        for path, text in made.items():
+        for path, text in texts.items():
             with new_file(path, force=overwrite) as new:
                 new.write_text(text)
         with printed():
-            for path in made:
+            for path in texts:
                 echo(str(path))

@@ -21,7 +21,7 @@ __all__ = ["tools"]
 @with_options
 def tools(
     folder: Annotated[Path, argument(metavar="DIR", type=OutputDirectory())],
-    chosen: KnownBusOptions,
+    bus_options: KnownBusOptions,
     overwrite: OverwriteOption,
     as_json: JsonOption,
 ) -> None:
@@ -43,7 +43,7 @@ def tools(
         from coulombus.monitor.tools.tool_files import tool_files
         from coulombus.recording.output_file import new_file, reason_against
 
-        bus, _ = chosen.known()
+        bus, _ = bus_options.known()
         files = {folder / name: text for name, text in tool_files(bus).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -53,8 +53,8 @@ def world(
             from coulombus.monitor.web.world_gateway import Gateway, serve_gateway
 
         address = parse_address(bus_text)
-        kept = f"{address.kind}-{address.name}".replace("/", "_") + ".world-token"
-        token = kept_token(socket_path(address.kind).parent / kept)
+        token_file = f"{address.kind}-{address.name}".replace("/", "_") + ".world-token"
+        token = kept_token(socket_path(address.kind).parent / token_file)
 
         def ready(url: str) -> None:
             socket_url = url.replace("http:", "ws:", 1) + "world"

@@ -79,7 +79,7 @@ def test_the_words_of_a_value_give_it_again(line):
 
 
 def test_a_whole_number_of_seconds_has_no_point_in_the_words():
-    assert words(Triple(3, (), False, 13.0), without=["first"]) == ["-v", "13"]
+    assert words(Triple(3, ("x=1.0",), False, 13.0), without=["first"]) == ["--2nd", "x=1.0", "-v", "13"]
 
 
 def test_what_is_set_by_hand_counts_more_than_what_comes_before_it():
@@ -102,7 +102,7 @@ def test_a_missed_message_may_take_50_ms_on_a_shared_machine(period_s, own, cycl
 
 
 def test_a_rig_and_its_buses_are_found_together():
-    rig, address = OneBusOptions("two_axes", ("bus.bitrate_bit_s=1000000",), "coulombus:here", None).found()
+    rig, address = OneBusOptions("two_axes", ("bus.bitrate_bit_s=1000000",), "coulombus:here", None).resolve()
     assert (rig.name, str(address), rig.bus.bitrate_bit_s) == ("two_axes", "coulombus:here", 1_000_000)
     one = BusesOptions("bench", (), ("coulombus:there",), None)
     assert [str(found) for found in one.addresses(one.load()).values()] == ["coulombus:there"]
