@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import InputPath
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.options import JsonLinesOption, RecordingArgument, with_options
+from coulombus.cli.rig_options import LogOptions
 from coulombus.system.foreign_text import printable
 from coulombus.system.wrap_text import columns_of
 
@@ -17,10 +16,12 @@ __all__ = ["decode"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", type=InputPath())
-@log_options
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, log: LogOptions, as_json: bool) -> None:
+@with_options
+def decode(
+    file: RecordingArgument,
+    log: LogOptions,
+    as_json: JsonLinesOption,
+) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
     Takes pcapng and other tools' logs (docs/recording.md lists their formats). Without a rig,
