@@ -24,7 +24,7 @@ SIZES_CM = (2.0, 100.0)
 
 
 def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
+    from coulombus.recording.time_search import parse_span
 
     try:
         return (None, None) if text is None else parse_span(text)

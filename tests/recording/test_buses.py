@@ -17,8 +17,8 @@ from coulombus.monitor.decode import bare_rows
 from coulombus.recording.bus_match import ChannelError
 from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
+from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.reading import blocks, read

@@ -17,11 +17,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.block import epoch_of
 from coulombus.recording.bus_match import Channel, channel_texts, one_bus
-from coulombus.recording.log_files import EXPECTED, WALL_CLOCK_NS, LogError, is_log, is_pcapng
+from coulombus.recording.file_content import remarks_on
+from coulombus.recording.log_files import EXPECTED, LogError, is_log, is_pcapng
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.reading import captures
-from coulombus.recording.remarks import remarks_on
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.client import BusFull, Client, pack_frame
 from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
@@ -102,7 +103,7 @@ def load_tape(path: str | Path, channel: Channel = None) -> Tape:
         remarks.append(f"{path}: {int(errors.sum())} error frames were left out: they belong to their own wire")
         frames = frames[~errors]
     stamps: Integers = np.ascontiguousarray(frames["t_ns"])
-    epoch = int(stamps[0]) if len(stamps) and stamps[0] >= WALL_CLOCK_NS else 0
+    epoch = epoch_of(frames)
     t_ns = np.maximum.accumulate(stamps - epoch) if len(stamps) else stamps
     return Tape(str(path), frames, t_ns, (*remarks, *_leaps(path, stamps, t_ns + epoch)))
 
