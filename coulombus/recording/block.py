@@ -221,8 +221,8 @@ class Overview:
     """What a pass through a recording gathers: markers and counts."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
-    malformed: dict[str, int] = field(default_factory=dict)
-    samples: dict[str, int] = field(default_factory=dict)
+    malformed: Counter[str] = field(default_factory=Counter)
+    samples: Counter[str] = field(default_factory=Counter)
     """Number of frames of each PDO, by its name."""
     last_s: dict[str, float] = field(default_factory=dict)
     """Time of the last frame of each PDO."""
@@ -237,11 +237,10 @@ class Overview:
     def add(self, block: Block) -> None:
         """Add a block."""
         for table in block.tables:
-            self.samples[table.name] = self.samples.get(table.name, 0) + len(table.t_ns)
+            self.samples[table.name] += len(table.t_ns)
             if len(table.t_ns):
                 self.last_s[table.name] = float((table.t_ns[-1] - block.epoch_ns) / 1e9)
-        for name, number in block.malformed.items():
-            self.malformed[name] = self.malformed.get(name, 0) + number
+        self.malformed.update(block.malformed)
         self.markers += block.markers
         self.count += len(block.frames)
         if len(block.frames):

@@ -289,3 +289,5 @@ def test_all_buses_of_a_log_have_one_time_zero(tmp_path):
     told = explain(path, channel="can1")
     assert told.at_s(told.end_ns) == 5.5
     assert [row["t_s"] for row in bare_rows(path, "can1", EdsFiles(), [])] == [5.0, 5.5]
+    assert read(path, channel="can1").t_s.tolist() == [5.0, 5.5]
+    assert blocks(path, channel="can1").extent() == (5.0, 5.5)

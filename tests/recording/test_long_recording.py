@@ -128,6 +128,18 @@ def test_it_is_the_recording_that_is_kept(recorded, monkeypatch):
         other["motor.nothing"]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_same_in_other_blocks(recorded, monkeypatch, seed):
+    kept = read(recorded)
+    for size in np.random.default_rng(seed).integers(5_000, 400_000, 2).tolist():
+        monkeypatch.setattr("coulombus.recording.pcapng_reader.CHUNK", size)
+        streamed = blocks(recorded)
+        for name, values in zip(kept.names, series(streamed, *kept.names), strict=True):
+            assert equal(values.values, kept[name].values), (size, name)
+        assert streamed.remarks == kept.remarks
+        same(streamed, kept)
+
+
 def test_a_torn_and_damaged_recording_has_the_same_remarks(recorded, monkeypatch):
     content = bytearray(recorded.read_bytes())
     content[200_000:200_050] = b"\xff" * 50
