@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+from coulombus.recording.block import GIVE_RIG
 from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
 from coulombus.recording.captures import captures
 from coulombus.recording.file_content import HOST, Capture
@@ -26,7 +28,7 @@ from coulombus.recording.logs.content import Content
 from coulombus.recording.maps.eds_files import EdsFiles, eds_files
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
-from coulombus.recording.signals import GIVE_RIG, Recording
+from coulombus.recording.signals import Recording
 from coulombus.recording.time_search import WHOLE, Span, checked_span
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
@@ -131,14 +133,13 @@ def _opened(
     first = next(parts)  # the description of the telemetry is attached first
     known_rig = _known_rig(chain([first], parts), rig, files)
     recorded = recorded_channel(first.attachments)
+    recording = Recording(path, known_rig, channel=texts, recorded=recorded, span=span, content=content)
     if known_rig is None:
-        match = BusMatch.without_rig(path, texts)
-        maps = _learned(map(match.select, stretches()), files)
+        maps = _learned(map(BusMatch.without_rig(path, texts).select, stretches()), files)
         bare = maps.pdos()
         first_rows = {pdo.layout.cob_id: maps.begin(pdo.layout.cob_id) for pdo in bare}
-        return Recording(path, None, (), bare, texts, recorded, first_rows, span, content)
-    inside = _inside(known_rig, recorded, first.attachments.get(INSIDE))
-    return Recording(path, known_rig, inside, (), texts, recorded, span=span, content=content)
+        return replace(recording, bare=bare, first_rows=first_rows)
+    return replace(recording, inside=_inside(known_rig, recorded, first.attachments.get(INSIDE)))
 
 
 def _is_long(path: str) -> bool:

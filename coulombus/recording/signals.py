@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.block import (
-    GIVE_RIG,
     Block,
     Overview,
     SignalsOfBlocks,
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["GIVE_RIG", "Recording", "Series", "Source", "UnknownSignal", "series", "signal_of"]
+__all__ = ["Recording", "Series", "Source", "UnknownSignal", "series", "signal_of"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
