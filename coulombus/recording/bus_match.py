@@ -21,7 +21,7 @@ from coulombus.recording.file_content import Capture
 from coulombus.rigs.arguments import WrongCall
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", "one_bus", "recorded_channel"]
+__all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", "recorded_channel"]
 
 Channel: TypeAlias = str | Sequence[str] | None
 """A bus of the file, or several as ``RIG_BUS=BUS``."""
@@ -190,18 +190,6 @@ class BusMatch:
 def _by_number(name: str) -> tuple[list[str], list[int]]:
     """Return a sort key that puts can2 before can10."""
     return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d+", name)]
-
-
-def one_bus(capture: Capture, selected: tuple[str, ...]) -> tuple[Capture, tuple[str, ...]]:
-    """Return the frames of one bus of a recording without a rig; and remarks.
-
-    Raises
-    ------
-    ChannelError
-        It has several buses and none is named, or it lacks the named one.
-    """
-    match = BusMatch.without_rig(capture.path, selected)
-    return match.select(capture), match.remarks()
 
 
 def _several(path: str, names: tuple[str, ...], why: str) -> ChannelError:

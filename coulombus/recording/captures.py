@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.recording.block import epoch_of
-from coulombus.recording.bus_match import Channel, channel_texts, one_bus
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts
 from coulombus.recording.file_content import Capture, remarks_on
 from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import iter_pcapng
@@ -46,11 +46,11 @@ def captures_of_bus(path: str | Path, channel: Channel, remarks: list[str]) -> I
     coulombus.recording.log_files.LogError
         It has no frame; raised at its end.
     """
-    texts, warnings, of_bus = channel_texts(channel), list[str](), tuple[str, ...]()
-    left_out, frames = Counter[str](), 0
+    match = BusMatch.without_rig(str(path), channel_texts(channel))
+    warnings, left_out, frames = list[str](), Counter[str](), 0
     origin_ns: int | None = None
     for stretch in captures(path):
-        capture, of_bus = one_bus(stretch, texts)
+        capture = match.select(stretch)
         if origin_ns is None and len(stretch.frames):
             origin_ns = epoch_of(stretch.frames)
         capture = replace(capture, origin_ns=origin_ns)
@@ -58,7 +58,7 @@ def captures_of_bus(path: str | Path, channel: Channel, remarks: list[str]) -> I
         warnings += capture.warnings
         left_out.update(torn=capture.torn, skipped=capture.skipped)
         yield capture
-    sentences = remarks_on(str(path), (*warnings, *of_bus), left_out)
+    sentences = remarks_on(str(path), (*warnings, *match.remarks()), left_out)
     if not frames:
         raise LogError("; ".join((f"{path}: it has no frame", *(text.removeprefix(f"{path}: ") for text in sentences))))
     remarks += sentences

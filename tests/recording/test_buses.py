@@ -19,7 +19,7 @@ from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
 from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.reading import blocks, read
 from coulombus.rigs.rig import load_rig, load_rig_text
@@ -101,6 +101,19 @@ def test_the_named_bus_alone_is_read(two, number):
     assert source.remarks == recording.remarks
     tape = load_tape(two, names[number])
     assert (tape.frames["can_id"] == recording.frames["can_id"]).all()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_frames_of_other_buses_are_counted_over_all_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr("coulombus.recording.pcapng_reader.CHUNK", 500)
+    path, remarks = tmp_path / "two.pcapng", []
+    with can.Logger(path) as log:
+        for message in messages():
+            log.on_message_received(message)
+    first, second = buses_of(path)
+    assert sum(1 for _ in iter_pcapng(path)) > 2
+    list(bare_rows(path, first, EdsFiles(), remarks))
+    assert remarks == [f"{path}: {CYCLES} frames of the bus {second} were left out"]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
