@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import click
 
@@ -46,8 +47,8 @@ def decode(
         bare = log.rig_name is None and (bool(log.eds) or not has_rig(file))
         recording = None
         if not bare:
-            recording = blocks(file, None if log.rig_name is None else load_rig(log.rig_name), log.channels)
-            recording.inside = ()  # frames of the host's telemetry were on no bus
+            rig = None if log.rig_name is None else load_rig(log.rig_name)
+            recording = replace(blocks(file, rig, log.channels), inside=())  # the host's telemetry was on no bus
         remarks: list[str] = []
         out = sys.stdout
         width = columns_of(out)

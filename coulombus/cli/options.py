@@ -196,7 +196,7 @@ def with_adapter_options(context: click.Context, param: click.Parameter, bus_nam
 
 
 def _span(context: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
+    from coulombus.recording.time_search import parse_span
 
     try:
         return (None, None) if text is None else parse_span(text)
