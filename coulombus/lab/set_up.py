@@ -1,4 +1,5 @@
-"""Cache the set-up of a simulated rig for rigs that differ only in plant and hand.
+"""Set-up of a simulated rig: power-on, bring-up over SDO and NMT start, as on a real rig; its cache for rigs that
+differ only in plant and hand.
 
 Power-on, bring-up over SDO and NMT start are much of a run's work, and in a sweep they are mostly
 identical, frame by frame. A finished world is therefore kept, and restarts after its set-up with
@@ -12,9 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from coulombus.host.laws.plane.plane_laws import builtin_laws
-from coulombus.host.setup.bringup import meet, plans_of
+from coulombus.host.setup.bringup import bring_up, meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.axis import NO_DEVICES, Axis, Sections
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -66,19 +66,21 @@ def give_back(world: VirtualRig) -> None:
                 entry.idle[:] = [world]
 
 
-def set_up(world: VirtualRig) -> tuple[str, ...]:
-    """Switch the nodes on and bring them up, as `lab.virtual_bringup.switch_on`; or continue from
-    the end of an earlier set-up of such a rig, with the same bytes. Return the omissions.
+def set_up(world: VirtualRig, *, cached: bool = False) -> tuple[str, ...]:
+    """Switch the nodes on and bring them up over SDO; return the omissions.
+
+    With `cached` the world may continue from the end of an earlier set-up of such a rig, with the same bytes.
     """
-    key = _key(world)
+    key = _key(world) if cached else None
     for entry in [entry for entry in _kept if entry.key == key]:
         if adopt(world, entry.state):
             meet(entry.plans, world.controllers)
             return entry.losses
     noise = world.plant["random"].tolist()
-    losses = switch_on(world)
-    state = state_of(world, noise)
-    if state is not None and all(entry.key != key for entry in _kept):
+    world.boot()
+    losses = bring_up(world.controllers, world)
+    state = None if key is None else state_of(world, noise)
+    if key is not None and state is not None and all(entry.key != key for entry in _kept):
         _kept.insert(0, _Kept(key, state, plans_of(world.controllers), losses))
         del _kept[MOST:]
     return losses

@@ -72,20 +72,15 @@ def real_run(
             cpu=default_cpu() if cpu is None else cpu,
         )
     try:
-        try:
-            with refusing():
-                course.prepare()
-                course.course(run.seconds)
-        finally:
-            course.end()
-        result = course.concluded()
+        result = course.run(run.seconds)
         picture = run.outputs.histogram
         if picture is not None:
             from coulombus.host.run.histogram import draw_histograms
 
             try:
                 with new_file(picture, force=run.outputs.force) as path:
-                    draw_histograms(*course.histograms(), rig.bus.period_s * 1e6, path)
+                    bins = course.plane.shared
+                    draw_histograms(bins.wakeup_bins, bins.latency_bins, rig.bus.period_s * 1e6, path)
             except OSError as error:
                 if result.exit_status == 0:
                     raise
