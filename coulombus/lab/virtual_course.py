@@ -18,7 +18,7 @@ from coulombus.host.run.run_recording import begin_recording
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.host.setup.bringup import release, shut_down
 from coulombus.lab.plane_figures import plane_figures
-from coulombus.lab.set_up import give_back, ready_world, set_up
+from coulombus.lab.set_up import ready_world, return_world, set_up
 from coulombus.lab.virtual_world import VirtualWorld
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.memory_recording import MeasuredFrames
@@ -79,9 +79,9 @@ class VirtualCourse(Course):
         part after the host's end is skipped.
         """
         ready = ready_world(rig, run.mode, run.seed) if self.only_figures and simulated is rig else None
-        self.is_ready = ready is not None
-        """Whether the world has completed its set-up."""
-        self.world, losses = ready or (
+        self._ready_losses: tuple[str, ...] | None
+        """The losses of a world that has completed its set-up in an earlier run."""
+        self.world, self._ready_losses = ready or (
             VirtualRig(
                 simulated,
                 run.mode,
@@ -90,11 +90,10 @@ class VirtualCourse(Course):
                 truth=outputs.truth is not None,
                 tip=measured or outputs.record is not None,
             ),
-            (),
+            None,
         )
         self.world.on_frames = self._write if measured or outputs.record is not None else None
         super().__init__(self.world.controllers, outputs.record, progress)
-        self.losses = losses
         plants = [axis.simulation.plant for axis in simulated.axes]
         warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
         shows = progress is not None or outputs.record is not None
@@ -109,17 +108,17 @@ class VirtualCourse(Course):
     def _write(self, frames: Records) -> None:
         if self.measured is not None:
             self.measured.write(frames)
-        messages = self.world.take_told()
+        messages = self.world.recorded_messages()
         frames = frames.view(np.ndarray)  # a recarray looks each field up in Python
         if len(messages):  # at equal times, bus frames first
             frames = np.concatenate((frames, messages))
             frames = frames.take(np.argsort(frames["t_ns"], kind="stable"))
         self.record(lambda recorder: recorder.write(frames))
 
-    def _write_host(self, had: Records, events: Records, sent: Records) -> None:
+    def _write_host(self, received: Records, events: Records, requests: Records) -> None:
         models = self.world.models.take_rows()
         self.record(lambda recorder: recorder.keep_models(models))
-        self.record(lambda recorder: recorder.trace(~had, events, sent))
+        self.record(lambda recorder: recorder.trace(~received, events, requests))
 
     @property
     def now_ns(self) -> int:
@@ -178,8 +177,10 @@ class VirtualCourse(Course):
         self.recorder = begin_recording(self._run, self.k)
         if self.recorder is not None:
             world.on_host = self._write_host
-            world.keep_told()
-        losses = self.losses if self.is_ready else set_up(world, cached=self.only_figures)
+            world.record_messages()
+        losses = self._ready_losses
+        if losses is None:
+            losses = set_up(world, cached=self.only_figures)
         self.mark(world.t_ns, f"run {self.k.mode}")
         return losses
 
@@ -242,7 +243,7 @@ class VirtualCourse(Course):
             plane=self._plane(),
         )
         if self.only_figures:
-            give_back(self.world)
+            return_world(self.world)
         return result
 
     def _plane(self) -> dict[str, Any] | None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from coulombus.host.run.client_requests import Progress
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Run
-from coulombus.host.run.run_state import Progress
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file
@@ -39,7 +39,7 @@ def real_run(
     bus : the bus, or a bus for each of `Rig.channels`; default is the virtual bus with the rig's name, or
         those of its buses (`rigs.buses`)
     signals : entered by the caller; a signal then ends the run safely
-    progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
+    progress : called with the display's time in s and each axis' state (`client_requests.axis_state`)
     cpu : CPU of the data plane; default is the last CPU that this process may use
 
     Raises

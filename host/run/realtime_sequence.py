@@ -22,7 +22,7 @@ from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run.arm_key import new_arm_key
 from coulombus.host.run.changes import Changes
-from coulombus.host.run.client_requests import Answers
+from coulombus.host.run.client_requests import Answers, Progress, with_states
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_external import switch_of
@@ -33,7 +33,6 @@ from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Run
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
-from coulombus.host.run.run_state import Progress, with_states
 from coulombus.host.run.world_display import WorldDisplay
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane

@@ -14,7 +14,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.setup.bringup import bring_up
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.lab import set_up as module
-from coulombus.lab.set_up import forget, give_back, ready_world, set_up
+from coulombus.lab.set_up import clear_cache, ready_world, return_world, set_up
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -30,9 +30,9 @@ pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="the plants' way through th
 
 @pytest.fixture(autouse=True)
 def nothing_kept() -> Iterator[None]:
-    forget()
+    clear_cache()
     yield
-    forget()
+    clear_cache()
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_a_world_that_begins_again_has_the_same_bytes(
         world.wait_ns(50_000_000)
         assert world.controllers.trip is not None
         world.inject(0, "over_current", present=False)
-    give_back(world)
+    return_world(world)
     other = first.variant(*changed)
     ready = ready_world(other, mode, 11)
     assert ready == (world, losses)
@@ -127,7 +127,7 @@ def test_a_world_of_other_devices_or_of_a_law_that_may_be_edited_is_nobodys() ->
     for one in (rig, rig.with_law(f"{EXAMPLES / 'own_law.py'}:stribeck")):
         world = VirtualRig(one, "hybrid")
         cached_set_up(world)
-        give_back(world)
+        return_world(world)
     assert ready_world(one, "hybrid", 0) is None
     assert ready_world(rig, "active", 0) is None
     assert ready_world(rig.variant("mechanics.friction_Nm=0.15"), "hybrid", 0) is None
@@ -147,7 +147,7 @@ def test_a_world_whose_host_believes_something_else_is_not_kept() -> None:
     rig = load_rig("bench")
     world = VirtualRig(rig, "hybrid", believed=rig.variant("mechanics.friction_Nm=0.15"))
     cached_set_up(world)
-    give_back(world)
+    return_world(world)
     assert ready_world(rig, "hybrid", 0) is None
 
 
