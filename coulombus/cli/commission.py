@@ -51,7 +51,7 @@ class Rehearsal:
 
     def runner(self, axis: str | None) -> Runner:
         """Return a function that runs the steps in virtual time."""
-        from coulombus.lab.rehearsal import rehearsed
+        from coulombus.lab.commissioning import rehearsed
 
         true = None if self.truth is None else load(str(self.truth.resolve()), ()).alone(axis)
         return rehearsed(true, seed=self.seed)

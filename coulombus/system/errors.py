@@ -76,7 +76,7 @@ CoulombusError
 +-- SweepError                   3   lab.sweep.sweep_file         ValueError
 +-- SweepFolderError             2   lab.sweep.sweep_folder
 +-- TableError                   3   recording.friction.columns   ValueError
-+-- TruthError                   2   lab.simulate
++-- TruthError                   2   lab.virtual_course
 +-- UnknownCase                  2   conformance.runner           ValueError
 +-- UnknownSignal                2   recording.pdo_columns        KeyError
 +-- WarmUpError                  2   lab.warm_up
