@@ -150,7 +150,7 @@ def slip(
         torque = -(a * psi_N[0] + b * psi_N[1]) - push
         v = v_rad_s[i]
         sense = _sense(v)
-        if v == 0.0 and c.friction_Nm[i] > 0.0:
+        if v == 0.0 and v_rad_s[1 - i] != 0.0 and c.friction_Nm[i] > 0.0:
             soon = min(max(REST_GAIN * (hand_Nm[i] + torque + push) / c.friction_Nm[i], -1.0), 1.0)
         else:
             soon = _sense(v + rate_rad_s2[i] * c.lead_s)

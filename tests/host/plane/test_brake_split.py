@@ -186,6 +186,8 @@ def test_friction_of_a_joint_at_rest_is_compensated_towards_its_load(beside_Nm, 
     c = control(friction_Nm=0.1, compensation=0.9)
     s = split(c, np.eye(2), [0.0, 1.0], [0.3, 0.0], hand=[0.0, 1.0 + beside_Nm])
     assert s["motor_Nm"][1] == pytest.approx(-1.0 + 0.09 * part)
+    still = split(c, np.eye(2), [0.0, 1.0], [0.0, 0.0], hand=[0.0, 1.0 + beside_Nm])
+    assert still["motor_Nm"][1] == -1.0  # an offset of the transducer moves no arm at rest
 
 
 def test_the_energies_are_those_of_what_acts():
