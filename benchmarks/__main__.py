@@ -83,7 +83,7 @@ def run(what: str, options: argparse.Namespace) -> None:
     elif what == "worlds":
         from benchmarks.random_worlds import random_worlds
 
-        random_worlds(options.rigs, options.seed)
+        random_worlds(options.rigs, options.seed, options.modes, options.hands)
     elif what == "loss":
         from benchmarks.loss import loss
 
@@ -193,6 +193,8 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=0, help="of observers, for the hierarchical fit")
     parser.add_argument("--document", type=Path, help="write the table of the observers there, between its marks")
     parser.add_argument("--rigs", type=int, default=10, help="random rigs that are commissioned, or worlds")
+    parser.add_argument("--modes", type=int, choices=(1, 2, 3), default=1, help="in which each world is displayed")
+    parser.add_argument("--hands", type=int, choices=(1, 2, 3, 4, 5), default=1, help="which each world meets")
     parser.add_argument("--ends", type=int, default=0, help="random ends and trips of each mode, instead of the table")
     parser.add_argument("--seed", type=int, default=1, help="of the random rigs")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")

@@ -118,7 +118,8 @@ def _page(rig: Rig, state: Progress, titles: Mapping[str, str], signed: Signatur
     yield f"<h1>Commissioning of {escape(rig.name)}</h1>"
     yield f'<p class="small">{escape(rig.about.description)}<br><code>{escape(rig.path)}</code></p>'
     yield from _head([state.steps[name] for name in done], len(titles), signed)
-    yield "<p>Bold rows were written into the rig file. The intervals are 95 %.</p>"
+    yield "<p>Bold rows were written into the rig file. The intervals are 95 % on a rig as modelled; uneven friction,"
+    yield "bristles or drift beside it are not in them (docs/commissioning.md, Intervals).</p>"
     for name in done:
         yield from _step(titles[name], state.steps[name])
     if missing:

@@ -197,7 +197,9 @@ def _said(finding: Finding) -> str:
     """Return the comment for a finding above its key."""
     short = toml_value(finding.old) if finding.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."
-    reach = "" if finding.uncertainty is None else f"; 95 %: +- {finding.uncertainty:.2g} {finding.unit}"
+    reach = ""
+    if finding.uncertainty is not None:
+        reach = f"; 95 % on a rig as modelled: +- {finding.uncertainty:.2g} {finding.unit}"
     return f"was {was}{reach}; {finding.basis}".replace("\n", " ")
 
 

@@ -17,7 +17,8 @@ below 1 only for a joint that comes to rest within :math:`T_r`. Its brake is rel
 brake that lags behind a reversal pulls in the wrong direction. :math:`\hat s_i` is the direction at the
 time when the commands act, :math:`\mathrm{sgn}(\dot q_i + \ddot q_i T_l)`, because the measured speed is a
 few milliseconds old. A joint at rest while the other joint moves has no direction; its motor gives the
-whole torque. Without motors (passive) the second factor is 1.
+whole torque, and compensates the friction in the direction in which hand and motor turn the joint:
+:math:`\hat s_i = \mathrm{sat}(8 (\tau_{h,i} + \tau_i)/f_i)`. Without motors (passive) the second factor is 1.
 
 At rest, under the hand's force :math:`F_h` with the joint torques :math:`\tau_h = J^T F_h`:
 
@@ -52,6 +53,8 @@ from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
 
 __all__ = ["expect_brakes", "hold", "observe", "release", "slip"]
 
+REST_GAIN = 8.0
+"""A joint at rest has its friction compensated in full from this part of the friction on."""
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
 """Gains of the lead compensation of a brake's lags (`host.cycle.brake_model`)."""
 
@@ -128,6 +131,7 @@ def slip(
     push_N: Floats,
     v_rad_s: FloatField,
     rate_rad_s2: FloatField,
+    hand_Nm: FloatField,
 ) -> None:
     """Set the commands for a moving tip.
 
@@ -136,6 +140,7 @@ def slip(
     psi_N : the law's force, against the motion
     push_N : the part of it that pushes back independently of the motion, for the motors alone
     v_rad_s, rate_rad_s2 : the joints' speeds and accelerations
+    hand_Nm : the hand's torques on the joints, from the transducers
     """
     power = 0.0
     pushing = 0.0
@@ -145,7 +150,10 @@ def slip(
         torque = -(a * psi_N[0] + b * psi_N[1]) - push
         v = v_rad_s[i]
         sense = _sense(v)
-        soon = _sense(v + rate_rad_s2[i] * c.lead_s)
+        if v == 0.0 and v_rad_s[1 - i] != 0.0 and c.friction_Nm[i] > 0.0:
+            soon = min(max(REST_GAIN * (hand_Nm[i] + torque + push) / c.friction_Nm[i], -1.0), 1.0)
+        else:
+            soon = _sense(v + rate_rad_s2[i] * c.lead_s)
         part, soonest = 1.0, c.reversal_s[i] * abs(rate_rad_s2[i])
         if c.motor_limit_Nm[i] > 0.0 and v * rate_rad_s2[i] < 0.0 and abs(v) < soonest:
             part = abs(v) / soonest

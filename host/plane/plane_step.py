@@ -17,6 +17,11 @@ from coulombus.rigs.kinematics.pose_kernels import condition, locate
 
 __all__ = ["PlaneFunctions", "evaluate", "in_workspace", "may_display", "measure_plane", "plane_step", "share_out"]
 
+SLOW_M_S_N = 0.027
+"""Speed of the tip, for each newton of the law, below which the direction of its motion is smoothed."""
+SMOOTH_COSINE = 0.5
+"""Least cosine of the angle to the mean motion with which it is smoothed: a motion that turns back is not."""
+
 
 class PlaneFunctions(NamedTuple):
     """The compiled law and mechanism of two joints."""
@@ -72,7 +77,7 @@ def share_out(h: PlaneHostRecord) -> None:
     if h.hold_N > 0.0:
         hold(h.control, h.split, h.pose, h.hold_N, h.hand_Nm)
     else:
-        slip(h.control, h.split, h.pose, h.psi_N, h.push_N, h.v_rad_s, h.rate_rad_s2)
+        slip(h.control, h.split, h.pose, h.psi_N, h.push_N, h.v_rad_s, h.rate_rad_s2, h.hand_Nm)
 
 
 @kernel
@@ -94,6 +99,9 @@ def measure_plane(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
     motion.x_m[0], motion.x_m[1] = h.pose.x_m[0], h.pose.x_m[1]
     v1, v2 = _soon(h, 0), _soon(h, 1)
     motion.v_m_s[0], motion.v_m_s[1] = a * v1 + b * v2, d * v1 + e * v2
+    if h.mode != ACTIVE:
+        v1, v2 = _mean_speed(h, 0), _mean_speed(h, 1)
+        _steady(h, a * v1 + b * v2, d * v1 + e * v2)
     motion.hand_N[0] = (e * h.hand_Nm[0] - d * h.hand_Nm[1]) / determinant
     motion.hand_N[1] = (a * h.hand_Nm[1] - b * h.hand_Nm[0]) / determinant
     h.cycle += 1
@@ -118,3 +126,33 @@ def _soon(h: PlaneHostRecord, joint: int) -> float:
     """Return a joint's speed at the time when the commands act; a joint at rest stays there."""
     v = h.v_rad_s[joint]
     return v + h.rate_rad_s2[joint] * h.control.lead_s if v != 0.0 else v
+
+
+@kernel
+def _mean_speed(h: PlaneHostRecord, joint: int) -> float:
+    """Return a joint's mean speed over ``turn_cycles`` [rad/s]."""
+    back = min(h.turn_cycles, h.cycle)
+    if back <= 0:
+        return 0.0
+    moved = h.counts[joint] - h.track[(h.cycle - back) % TRACK, joint]
+    return moved * h.count_rad[joint] / (back * h.control.period_s)
+
+
+@kernel
+def _steady(h: PlaneHostRecord, mean_x_m_s: float, mean_y_m_s: float) -> None:
+    """Turn the velocity of a slow tip towards its mean over ``turn_cycles``, and keep its size.
+
+    A force c against the direction of motion is a damper c/|v| across it. Rendered by motors with the delay
+    T it shakes a mass m if c/|v| is above about m/(2 T). Below that speed a share of the change counts, so that
+    the damper of fast changes stays at this bound.
+    """
+    motion = h.motion
+    x, y = motion.v_m_s[0], motion.v_m_s[1]
+    speed, mean = math.hypot(x, y), math.hypot(mean_x_m_s, mean_y_m_s)
+    slow = SLOW_M_S_N * math.hypot(h.state.psi_N[0], h.state.psi_N[1])
+    if speed >= slow or x * mean_x_m_s + y * mean_y_m_s <= SMOOTH_COSINE * speed * mean:
+        return
+    share = speed / slow
+    x, y = share * x + (1.0 - share) * mean_x_m_s, share * y + (1.0 - share) * mean_y_m_s
+    size = math.hypot(x, y)
+    motion.v_m_s[0], motion.v_m_s[1] = x * speed / size, y * speed / size

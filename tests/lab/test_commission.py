@@ -70,6 +70,7 @@ def test_the_friction_step_finds_the_friction_though_the_belief_is_wrong(afterno
     assert simulate(rig, "hybrid", 2.0, simulated=load_rig("bench", TRUTH)).trip is None
     text = session.path.read_text()
     assert f"# commission {AT}: was 0.14" in text
+    assert "; 95 % on a rig as modelled: +- " in text
     assert "# identified Coulomb friction with the coil off, compensated by the motor" in text
     (copy,) = session.state.folder.glob("my.*.friction.toml")
     assert copy.read_text() == packaged_rig("bench").read_text()

@@ -119,6 +119,26 @@ def test_a_circle_is_displayed_within_the_targets_at_500_hz(elbow, frequency):
     assert (errors["median_N"], errors["p95_N"]) == pytest.approx((F_D, F_D), rel=0.05)
 
 
+@pytest.mark.parametrize("elbow", [75, 130])
+def test_a_slow_circle_is_displayed_within_four_degrees(elbow):
+    rig, x = rig_at(elbow, "plane.hand_stiffness_N_m=[800, 800]")
+    goal_m = circle((x - 0.05, 0.0), 0.05, 0.1, 8.0, 2e-3)
+    course = simulate_plane(rig, goal_m, PlaneRun(law=LAW, period_s=2e-3, window_cycles=4))
+    assert course.display_errors(from_s=1.0, least_m_s=0.02)["p95_deg"] < 4.0
+
+
+@pytest.mark.parametrize("corner_deg", [90, 120])
+def test_a_slow_motion_that_turns_a_corner_is_not_pushed_on(corner_deg):
+    rig, x = rig_at(110, "plane.hand_stiffness_N_m=[3000, 3000]")
+    way_m = 0.04e-3 * np.arange(1, 601)[:, None]  # at 4 cm/s
+    corner = math.radians(corner_deg)
+    legs_m = way_m * [1.0, 0.0], way_m[-1] * [1.0, 0.0] + way_m * [math.cos(corner), math.sin(corner)]
+    start_m = np.linspace([x, 0.0], [x - 0.02, 0.0], 500)
+    course = simulate_plane(rig, np.vstack((start_m, start_m[-1] + np.vstack(legs_m))), PlaneRun(law=LAW))
+    power = (course.vectors("shown_x_N", "shown_y_N") * course.vectors("vx_m_s", "vy_m_s")).sum(axis=1)
+    assert power.max() < 1e-6
+
+
 def test_brakes_alone_and_a_host_without_the_lag_are_worse():
     hybrid, passive = drawn(110, 0.5)[1], drawn(110, 0.5, mode="passive")[1]
     ignorant = drawn(110, 0.5, models_lag=False)[1]

@@ -42,7 +42,7 @@ def arm(l1, l2, q1, q2):
     return np.array([[column.real for column in columns], [column.imag for column in columns]])
 
 
-def split(c, jacobian, psi, v, push=NOTHING, rate=NOTHING, expected=None):
+def split(c, jacobian, psi, v, push=NOTHING, rate=NOTHING, expected=None, hand=NOTHING):
     s = new_records(SplitStateRecord)[0]
     if expected is not None:
         s["expected_Nm"] = s["coil_Nm"] = s["sent_Nm"] = expected
@@ -54,6 +54,7 @@ def split(c, jacobian, psi, v, push=NOTHING, rate=NOTHING, expected=None):
         np.asarray(push, float),
         np.asarray(v, float),
         np.asarray(rate, float),
+        np.asarray(hand, float),
     )
     return s
 
@@ -173,11 +174,20 @@ def test_motors_that_have_given_too_much_push_no_more():
     for given_J in (0.0, 0.005, 0.02):
         s = new_records(SplitStateRecord)[0]
         s["motor_J"] = given_J, 0.0
-        slip(c, s, posed(jacobian), psi, NOTHING, v, NOTHING)
+        slip(c, s, posed(jacobian), psi, NOTHING, v, NOTHING, NOTHING)
         pushes.append(np.maximum(s["motor_Nm"] * v, 0.0).sum())
     assert pushes[0] == pytest.approx(pushes[1])
     assert pushes[0] > 0.1
     assert pushes[2] == 0.0
+
+
+@pytest.mark.parametrize(("beside_Nm", "part"), [(-0.2, -1.0), (-0.01, -0.8), (0.005, 0.4), (0.2, 1.0)])
+def test_friction_of_a_joint_at_rest_is_compensated_towards_its_load(beside_Nm, part):
+    c = control(friction_Nm=0.1, compensation=0.9)
+    s = split(c, np.eye(2), [0.0, 1.0], [0.3, 0.0], hand=[0.0, 1.0 + beside_Nm])
+    assert s["motor_Nm"][1] == pytest.approx(-1.0 + 0.09 * part)
+    still = split(c, np.eye(2), [0.0, 1.0], [0.0, 0.0], hand=[0.0, 1.0 + beside_Nm])
+    assert still["motor_Nm"][1] == -1.0  # an offset of the transducer moves no arm at rest
 
 
 def test_the_energies_are_those_of_what_acts():
@@ -199,7 +209,7 @@ def test_the_motors_give_what_the_lagging_brake_lacks_when_they_act():
     seen, ahead = [], []
     for _ in range(60):
         expect_brakes(c, s)
-        slip(c, s, pose, np.array([1.0, 0.0]), NOTHING, np.array([0.5, 0.0]), NOTHING)
+        slip(c, s, pose, np.array([1.0, 0.0]), NOTHING, np.array([0.5, 0.0]), NOTHING, NOTHING)
         seen.append(float(s["expected_Nm"][0]))
         ahead.append(float(s["ahead_Nm"][0]))
         assert s["motor_Nm"][0] == pytest.approx(ahead[-1] - 1.0)
