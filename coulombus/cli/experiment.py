@@ -21,6 +21,7 @@ import click
 from coulombus.cli.bundle import bundle
 from coulombus.cli.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.page_options import tornado_needed
 from coulombus.cli.tables import echo
 from coulombus.system.keyboard import in_foreground
 
@@ -198,11 +199,12 @@ def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
         observer = Observer(answering.observer, study.file.seed, session.folder.number, judged)
         yield People.simulated(observer.answer)
     elif answering.page:
-        from coulombus.lab.study.page import AnswerPage
+        with tornado_needed():
+            from coulombus.lab.study.page import AnswerPage
 
         with AnswerPage(study.file.question, session.stop, answering.port or 0) as asking:
             say(f"coulombus: the page: {asking.url}")
-            yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
+            yield People(asking.show, asking.ask, asking.go_on, time.monotonic)
             asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
             time.sleep(LAST_S)
     else:
