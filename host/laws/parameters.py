@@ -62,7 +62,7 @@ def law_parameters(
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
     if law is not None:
-        declared = {**law.BUILT_IN, **declared}
+        declared = {**law.kind.built_in, **declared}
     known: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         if name in declared:
