@@ -140,7 +140,7 @@ def simulate_command(chosen: RunOptions, files: Files, as_json: bool) -> None:
     with errors():
         from coulombus.host.run.run import Outputs
         from coulombus.lab.simulate import virtual_run
-        from coulombus.sim_bus.faults.lines import injected_lines
+        from coulombus.sim_bus.faults.fault_file import injected_lines
 
         run = chosen.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
         with progress(not as_json) as report:
