@@ -109,9 +109,9 @@ def of_description(description: Description) -> Profile:
     Our own devices have theirs. Otherwise it is the profile of 1000h if the file has its objects, else
     the kind whose objects the file has, else `GENERIC`.
     """
-    own = of_identity(told_identity(description))
-    if own is not GENERIC:
-        return own
+    ours = of_identity(told_identity(description))
+    if ours is not GENERIC:
+        return ours
     device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
     by_profile = _BY_PROFILE.get(device_type & 0xFFFF) if isinstance(device_type, int) else None
     fitting = [kind for kind, indices in _SIGNS if all(_has(description, index, kind) for index in indices)]

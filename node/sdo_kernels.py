@@ -115,17 +115,17 @@ def queue_segments(n: NodeRecord, t_ns: int, channel: int, can_id: int, words: n
 @kernel
 def forget_segments(n: NodeRecord, channel: int) -> None:
     """Remove the queued segments of the SDO server `channel` (-1: of all)."""
-    kept = 0
+    left = 0
     for j in range(n.outbox_count):
         k = (n.outbox_first + j) % OUTBOX
         if channel >= 0 and n.outbox_channel[k] != channel:
-            into = (n.outbox_first + kept) % OUTBOX
+            into = (n.outbox_first + left) % OUTBOX
             n.outbox_channel[into] = n.outbox_channel[k]
             n.outbox_id[into] = n.outbox_id[k]
             n.outbox_word[into] = n.outbox_word[k]
-            kept += 1
-    n.outbox_count = kept
-    if kept == 0:
+            left += 1
+    n.outbox_count = left
+    if left == 0:
         n.outbox_next_ns = FAR_FUTURE_NS
 
 

@@ -227,16 +227,16 @@ class Declaration:
     kind: LawKind = ON_AXIS
 
     def __post_init__(self) -> None:
-        names, kept = self.names, sum(size for _, size in self.state)
+        names, size = self.names, sum(length for _, length in self.state)
         clashes = {*(self.kind.law.names or ()), *(self.kind.state.names or ())} & {
             *names,
             *(name for name, _ in self.state),
         }
-        if not self.uses_mode_keys and (len(names) > USER or kept > USER or clashes):
+        if not self.uses_mode_keys and (len(names) > USER or size > USER or clashes):
             what = (
                 f"{', '.join(sorted(clashes))}: taken"
                 if clashes
-                else f"{len(names)} parameters and {kept} numbers kept"
+                else f"{len(names)} parameters and {size} numbers kept"
             )
             raise ValueError(f"law {self.name}: {what}; expected names of its own, at most {USER} numbers of each kind")
 
@@ -324,12 +324,12 @@ def friction_law(
         more than 16 numbers, or a name that the records already have
     """
     if isinstance(state, type):
-        kept = tuple(state_fields(state, LAW_STATE))
+        variables = tuple(state_fields(state, LAW_STATE))
     else:
-        kept = tuple((name, 1) if isinstance(name, str) else name for name in state)
+        variables = tuple((name, 1) if isinstance(name, str) else name for name in state)
 
     def declare(function: F) -> F:
-        function.declaration = Declaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
+        function.declaration = Declaration(function, parameters, variables, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
         return function
 
     return declare

@@ -268,9 +268,9 @@ def _import_error(error: Exception, place: str) -> str:
     """Return the text of an error in a law's file: its type, its message, and the file's line."""
     if isinstance(error, SyntaxError):
         return str(error)  # its text has file and line
-    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
-    return f"{said} ({place}, line {own[-1].lineno})" if own else said
+    reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
+    return f"{reason} ({place}, line {frames[-1].lineno})" if frames else reason
 
 
 def find_law(place: str, directory: Path | None) -> Path:
@@ -359,14 +359,16 @@ def _plain_function(name: str, place: str, attribute: str, directory: Path | Non
             text = "there is no module of that name; expected FILE.py:FUNCTION or MODULE:FUNCTION"
             raise LawError(f"law {name!r}: {place} cannot be imported: {text}") from error
         raise LawError(f"law {name!r}: {place} cannot be imported: {_import_error(error, place)}") from error
-    own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
-    function = own.get(attribute, getattr(module, attribute, None))
+    functions = {
+        n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__
+    }
+    function = functions.get(attribute, getattr(module, attribute, None))
     if not callable(function):
-        known = [n for n, f in own.items() if not n.startswith("_") and not isinstance(f, type)]
-        near = difflib.get_close_matches(attribute, known, 1)
+        public = [n for n, f in functions.items() if not n.startswith("_") and not isinstance(f, type)]
+        near = difflib.get_close_matches(attribute, public, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise LawError(
-            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(known) or 'none'}{hint}"
+            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(public) or 'none'}{hint}"
         )
     plain = getattr(function, "py_func", function)
     try:
@@ -375,9 +377,9 @@ def _plain_function(name: str, place: str, attribute: str, directory: Path | Non
         accepts = []
     if len(accepts) != 3 or not hasattr(plain, "__code__"):
         where = f"{_line(plain)}: " if hasattr(plain, "__code__") else ""
-        given = ", ".join(map(str, accepts))
+        arguments = ", ".join(map(str, accepts))
         raise LawError(
-            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
+            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({arguments})"
         )
     return plain
 

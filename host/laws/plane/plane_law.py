@@ -104,11 +104,11 @@ def plane_law(
     ValueError
         more than 16 numbers, or a name that the records already have
     """
-    kept = () if state is None else tuple(state_fields(state, IN_PLANE.state))
+    variables = () if state is None else tuple(state_fields(state, IN_PLANE.state))
 
     def declare(function: F) -> F:
         function.declaration = Declaration(  # type: ignore[attr-defined]
-            function, parameters, kept, tuple(extremes), pushes=pushes, kind=IN_PLANE
+            function, parameters, variables, tuple(extremes), pushes=pushes, kind=IN_PLANE
         )
         return function
 
