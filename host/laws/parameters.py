@@ -58,11 +58,10 @@ def law_parameters(
     coulombus.rigs.rig.RigError
         the text names every error
     """
-    declared = {name: builtin for name, builtin in BUILTIN_LAWS.items() if not builtin.uses_mode_keys}
+    built_in = BUILTIN_LAWS if law is None else {**law.kind.built_in, **BUILTIN_LAWS}
+    declared = {name: builtin for name, builtin in built_in.items() if not builtin.uses_mode_keys}
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
-    if law is not None:
-        declared = {**law.kind.built_in, **declared}
     relevant: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         if name in declared:
