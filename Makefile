@@ -23,12 +23,12 @@ help:  ## this list
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 	@$(BIN)/coulombus warm-up --without-arm && $(BIN)/coulombus demo
 
-test: $(VENV)/.dev  ## all tests: those against the wall clock, and beside them those in virtual time
+test: $(VENV)/.dev  ## the tests: those against the wall clock, and beside them those in virtual time
 	@PYTHON=$(BIN)/python scripts/test
 
 fast: $(VENV)/.dev  ## a minute of tests in plain Python: what decides about torque, brake and arming
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 \
-	-m "not real_time and not slow and not long" $$($(BIN)/python scripts/mutate.py --tests)
+	-m "not real_time and not slow and not thorough and not long" $$($(BIN)/python scripts/mutate.py --tests)
 
 wheel: $(VENV)/.dev  ## build the wheel, install it somewhere else, and run it there
 	@scripts/try-wheel

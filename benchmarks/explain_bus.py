@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.explain_devices import DEVICES
 from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.clock import own_ns
 from coulombus.wire.frame import Records

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from benchmarks.explain_bus import Machine
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.explain.bus import Bus
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
-from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 
@@ -125,7 +126,7 @@ class Score:
 
 def explained(frames: Records, rig: Rig | None = None, files: EdsFiles | None = None) -> Explanation:
     """Explain frames as a recording would bring them, some thousands at a time."""
-    explainer = Explainer(rig, files)
+    explainer = Explainer(KnownBus(rig, files or EdsFiles()))
     for start in range(0, len(frames), 5000):
         explainer.take(frames[start : start + 5000])
     explainer.end()

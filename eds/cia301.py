@@ -19,7 +19,9 @@ __all__ = [
     "DUMMY_TYPES",
     "EMCY_TEXT",
     "MAX_FIELDS",
+    "PDO_NAMES",
     "RECORD",
+    "TPDOS",
     "VAR",
     "Abort",
     "CobId",
@@ -129,6 +131,11 @@ class CobId(IntEnum):
     LSS_TX = 0x7E4
     LSS_RX = 0x7E5
 
+
+PDO_NAMES = {int(code): code.name for code in CobId if code.name.startswith(("TPDO", "RPDO"))}
+"""Names of the PDOs of the pre-defined connection set by their function codes."""
+TPDOS = tuple(code for code, name in PDO_NAMES.items() if name.startswith("TPDO"))
+"""Function codes of those that a node sends."""
 
 _RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
 

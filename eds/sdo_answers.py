@@ -5,13 +5,17 @@ and its sender repeats it. So an answer that is identical to the previous one, a
 directly, is the same frame; a request that was delivered twice has two answers. Two devices with
 the same node id show otherwise: a request has different answers, or several requests in a row have
 a second answer.
+
+A listener does not know what a client will make of an answer: it has `eds.sdo_channel`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["SdoAnswers", "named"]
+from coulombus.eds.sdo_frames import named
+
+__all__ = ["SdoAnswers"]
 
 IN_A_ROW = 3
 """Second answers to this many requests in a row come from a second device."""
@@ -20,11 +24,6 @@ COMMUNICATION = range(0x1000, 0x2000)
 _UPLOAD, _DOWNLOAD, _ABORT = 2, 3, 4
 _ANSWERS = {1: (3, 4), 2: (2, 4), 5: (2, 4, 6), 6: (4, 5)}
 """Command of an initiating request -> commands of its possible answers (bits 7 to 5 of byte 0)."""
-
-
-def named(message: bytes) -> tuple[int, int]:
-    """Return the object of an initiating message."""
-    return int.from_bytes(message[1:3], "little"), message[3]
 
 
 @dataclass

@@ -13,12 +13,10 @@ import struct
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from coulombus.eds import sdo_forms as forms
+from coulombus.eds import sdo_frames as forms
 from coulombus.eds.cia301 import DATA_TYPES, abort_text
 from coulombus.eds.description import Description
-from coulombus.eds.sdo_answers import named
-from coulombus.eds.sdo_forms import Form, form_of
-from coulombus.eds.sdo_frames import where
+from coulombus.eds.sdo_frames import Form, form_of, named, where
 from coulombus.eds.sdo_joining import Joined, Segments, SubBlocks
 
 __all__ = ["NO_BEGINNING", "SdoChannel", "Transfer"]
@@ -90,6 +88,8 @@ class SdoChannel:
     def __init__(self, description: Description | None) -> None:
         self._description = description
         self._transfer: Transfer | None = None
+        self.completed: Transfer | None = None
+        """The transfer that the last frame completed; of an expedited upload the response is enough."""
         self._begun = False
         """Whether a frame came that is no segment of a block transfer."""
         self._before: tuple[bool, bytes] | None = None
@@ -111,6 +111,7 @@ class SdoChannel:
         `value`, `size`, `block_size`, `number`, `segment`, `last`, `bytes`, `content` (of the frame
         that completes a transfer), `code`, `text`, `remark`.
         """
+        self.completed = None
         if len(data) != 8:
             return {"service": "SDO", "malformed": f"{len(data)} bytes, expected 8"}
         again = self._before is not None and self._before[0] == from_server
@@ -205,7 +206,7 @@ class SdoChannel:
             transfer.kind, transfer.joined = "expedited", Joined()
             transfer.joined.add(_expedited(data))
             says |= self._completed(transfer) if transfer.both else self._value(transfer)
-            self._transfer = None
+            self._transfer, self.completed = None, transfer
         elif upload:
             transfer.kind, transfer.joined = "segmented", Segments(size if data[0] & 0x01 else None)
         elif transfer.kind == "expedited":
@@ -301,6 +302,7 @@ class SdoChannel:
         lacking = transfer.joined.lacking()
         if lacking:
             return {"bytes": transfer.joined.count, "remark": lacking}
+        self.completed = transfer
         content = bytes(transfer.joined.content)
         return {"bytes": len(content), "content": content.hex(), **self._value(transfer)}
 

@@ -1,6 +1,6 @@
-"""Compiled device with a clock that runs fast or slow (`wire.clock`).
+"""Compiled device at its local time: its clock may run fast or slow (`wire.clock`).
 
-`on_frame`, `on_time` and `confinement_changed` adapt those of `node.core` to such a device: its
+`on_frame`, `on_time` and `confinement_changed` call those of `node.core`: the
 core receives local time, and its frames are queued in bus time. Its `next_ns` is local time.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
@@ -22,7 +22,8 @@ def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out:
     """Call `node.core.on_frame`, at the bus time `t_ns`."""
     first, own = out.count, own_ns(n, t_ns)
     due = core.on_frame(n, own, can_id, length, data, out)
-    to_bus(n, out, first)
+    if n.clock_on:
+        to_bus(n, out, first)
     return int(due)
 
 
@@ -31,7 +32,8 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Call `node.core.on_time`, at the bus time `t_ns`."""
     first, own = out.count, own_ns(n, t_ns)
     core.on_time(n, own, out)
-    to_bus(n, out, first)
+    if n.clock_on:
+        to_bus(n, out, first)
 
 
 @kernel
@@ -39,4 +41,5 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
     """Call `node.core.confinement_changed`, at the bus time `t_ns`."""
     first, own = out.count, own_ns(n, t_ns)
     core.confinement_changed(n, own, confinement, out)
-    to_bus(n, out, first)
+    if n.clock_on:
+        to_bus(n, out, first)

@@ -37,6 +37,7 @@ def decode(file: Path, log: LogOptions, as_json: bool) -> None:
     with errors():
         from coulombus.monitor.decode import as_json as as_json_line
         from coulombus.monitor.decode import as_text, bare_rows, fitted, rows, text_lines
+        from coulombus.recording.maps.known_bus import KnownBus
         from coulombus.recording.reading import blocks, has_rig
         from coulombus.rigs.rig import load_rig
 
@@ -57,7 +58,9 @@ def decode(file: Path, log: LogOptions, as_json: bool) -> None:
             for lines in text_lines(recording):
                 out.writelines(map(written, lines))
         else:
-            for row in bare_rows(file, log.channels, files, remarks) if recording is None else rows(recording):
+            for row in (
+                bare_rows(file, log.channels, KnownBus(eds=files), remarks) if recording is None else rows(recording)
+            ):
                 out.write(written(as_json_line(row) if as_json else printable(as_text(row))))
         out.flush()
         remark(remarks if recording is None else recording.remarks)

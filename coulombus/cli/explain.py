@@ -26,9 +26,9 @@ from coulombus.cli.rig_options import eds_files_of
 from coulombus.cli.tables import PROSE, echo, on_terminal
 
 if TYPE_CHECKING:
+    from coulombus.eds.eds_folder import EdsFiles
     from coulombus.explain.explained import Explanation
     from coulombus.explain.incidents import Incident
-    from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
 
 __all__ = ["explain"]
@@ -157,13 +157,15 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
     """Listen to a bus, and print each incident to stderr."""
     from coulombus.explain.explanation_text import news
     from coulombus.explain.live_bus import explain_bus
+    from coulombus.recording.maps.known_bus import KnownBus
     from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
     def tell(explanation: Explanation, incident: Incident) -> None:
         if not as_json:
             say(news(explanation, incident))
 
-    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), tell, rig=rig, eds=files, seconds=seconds)
+    known = KnownBus(rig, files)
+    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), tell, known=known, seconds=seconds)
 
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:

@@ -54,13 +54,12 @@ def hz(
                 recording = blocks(file, chosen.load() if given else None, chosen.channel)
                 rig = recording.rig
                 by_bus = {
-                    channel: (KnownBus.of_rig(rig.on(channel)), stamps)
-                    for channel, stamps in recorded(recording).items()
+                    channel: (KnownBus(rig.on(channel)), stamps) for channel, stamps in recorded(recording).items()
                 }
                 remark(recording.remarks)
             else:
                 remarks: list[str] = []
-                by_bus = {"": recorded_bare(file, chosen.channel, chosen.files(), remarks)}
+                by_bus = {"": recorded_bare(file, chosen.channel, KnownBus(eds=chosen.files()), remarks)}
                 remark(remarks)
         else:
             known, address = chosen.known(chosen.bus_name)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from coulombus.cli.rig_options import BusesOptions
+    from coulombus.eds.eds_folder import EdsFiles
     from coulombus.monitor.web.page_state import FaultDoor
-    from coulombus.recording.maps.eds_files import EdsFiles
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 

@@ -26,7 +26,7 @@ from coulombus.cli.errors import remark
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from coulombus.recording.maps.eds_files import EdsFiles
+    from coulombus.eds.eds_folder import EdsFiles
     from coulombus.recording.maps.known_bus import KnownBus
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
@@ -61,7 +61,7 @@ def eds_files_of(texts: tuple[str, ...], *, with_rig: bool = False) -> EdsFiles:
     click.UsageError
         Both are given.
     """
-    from coulombus.recording.maps.eds_files import eds_files
+    from coulombus.eds.eds_folder import eds_files
 
     if texts and with_rig:
         raise click.UsageError("--rig and --eds: the rig has EDS files; leave one of them out")
@@ -135,8 +135,8 @@ class KnownBusOptions(RigOptions):
         files = self.files()
         if not self.eds:
             rig, address = one_bus(self.load(), bus_name, self.channel, WITH_ADAPTERS)
-            return KnownBus.of_rig(rig), address
-        known = KnownBus.of_eds(files)
+            return KnownBus(rig), address
+        known = KnownBus(eds=files)
         remark(known.remarks)
         if not (known.nodes or self.finds_nodes):
             reason = "an EDS file has no node id, and nothing here shows it"
@@ -151,7 +151,7 @@ class KnownBusOptions(RigOptions):
 
         is_given = bool(self.overrides) or (self.names_rig and not self.eds)
         source = blocks(file, self.load() if is_given else None, self.channel, eds=self.files())
-        return KnownBus("", (), source.pdos) if source.known_rig is None else KnownBus.of_rig(source.known_rig)
+        return KnownBus(source.known_rig, learned=source.pdos)
 
     def of_node(self, bus_name: str | None, node_id: int) -> tuple[KnownBus, BusAddress]:
         """Ask a node for its PDOs; return them, and the bus' address."""

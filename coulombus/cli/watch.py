@@ -229,9 +229,9 @@ def watch(
             named = chosen.names_rig
             assumed = not (named or view.scope or chosen.overrides)
             run(
-                rig,
+                known,
                 address,
-                LiveView(as_json, view.interval, named, view.scope, assumed, known.eds),
+                LiveView(as_json, view.interval, named, view.scope, assumed),
                 seconds=seconds,
                 host=None if address.is_adapter else lambda: host_line(address),
             )

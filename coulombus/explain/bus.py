@@ -1,4 +1,8 @@
-"""Knowledge of a bus while its frames are read: nodes, NMT commands, objects, PDO maps."""
+"""Knowledge of a bus while its frames are read: nodes, NMT commands, objects, PDO maps.
+
+`recording.maps.log_maps` learns maps, too, and keeps them through a node's boot-up, so that its signals go on.
+Here such a map is unknown until it is seen again: an explanation says no more than the frames until then show.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,17 @@ import bisect
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.eds.cia301 import TPDOS, CobId, NmtCommand, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
 from coulombus.eds.own_devices import told_identity
+from coulombus.eds.sdo_frames import where
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import NEVER, REMOTE, SYNC, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
-from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of
+from coulombus.recording.maps.known_bus import KnownBus
+from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of, maps_of_rig
 
 __all__ = ["Bus", "Order", "Silence", "product"]
 
@@ -32,7 +38,20 @@ TARGET = {
 NMT, SDO_TX, SDO_RX, HEARTBEAT, EMCY = map(int, (CobId.NMT, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT, CobId.EMCY))
 PDOS, RPDOS = range(CobId.TPDO1, CobId.SDO_TX), range(CobId.RPDO1, CobId.SDO_TX)
 """Identifiers of PDOs, and those among which a usual RPDO's is."""
-TPDOS = tuple(map(int, (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)))
+NAMES = {
+    0x1000: "device type", 0x1001: "error register", 0x1003: "error history", 0x1005: "COB-ID SYNC",
+    0x1006: "communication cycle period", 0x1010: "store parameters", 0x1011: "restore parameters",
+    0x1014: "COB-ID EMCY", 0x1016: "consumer heartbeat time", 0x1017: "producer heartbeat time",
+    0x1018: "identity", 0x1029: "error behaviour", 0x603F: "error code", 0x6040: "controlword",
+    0x6041: "statusword", 0x6060: "modes of operation", 0x6061: "modes of operation display",
+    0x6064: "position actual value", 0x6071: "target torque", 0x6072: "max torque", 0x607A: "target position",
+    0x60FF: "target velocity", 0x6502: "supported drive modes",
+    **{index: f"RPDO{index - 0x13FF} parameters" for index in range(0x1400, 0x1408)},
+    **{index: f"RPDO{index - 0x15FF} map" for index in range(0x1600, 0x1608)},
+    **{index: f"TPDO{index - 0x17FF} parameters" for index in range(0x1800, 0x1808)},
+    **{index: f"TPDO{index - 0x19FF} map" for index in range(0x1A00, 0x1A08)},
+}  # fmt: skip
+"""Names of objects of CiA 301 and 402, for nodes without an EDS file."""
 
 
 @dataclass
@@ -62,29 +81,22 @@ class Bus:
 
     Parameters
     ----------
-    descriptions
-        EDS files by node id.
-    fixed
-        PDO maps of a rig, by identifier.
-    names
-        Names of nodes from a rig or EDS files.
-    candidates
-        EDS files to be matched with nodes by identity (1018h).
-    of_rig
-        EDS files of the rig's nodes, used for names only: `fixed` has the maps.
+    known
+        Names and PDO maps of a rig, and EDS files.
     """
 
-    def __init__(
-        self,
-        descriptions: dict[int, Description],
-        fixed: dict[int, Map],
-        names: dict[int, str],
-        candidates: tuple[Description, ...] = (),
-        of_rig: dict[int, Description] | None = None,
-    ) -> None:
-        self.of_rig = dict(of_rig or {})
+    def __init__(self, known: KnownBus) -> None:
+        rig = known.rig
+        self.descriptions = dict(known.eds.of_nodes)
+        self.candidates = known.eds.candidates
+        """EDS files to be matched with nodes by identity (1018h)."""
+        self.of_rig = {} if rig is None else {node.node_id: node.description for node in rig.nodes}
+        """EDS files of the rig's nodes, used for names only: `fixed` has the maps."""
+        self.fixed = {} if rig is None else maps_of_rig(rig)
+        """PDO maps of the rig, by identifier."""
+        self.names = {} if rig is None else {node.node_id: node.name for node in rig.nodes}
+        self.names |= {number: product(description) for number, description in self.descriptions.items()}
         self.others: list[int] = []  # nodes of the log that are not those of the rig
-        self.candidates = candidates
         self.clues = Clues()
         self.nodes: dict[int, SeenNode] = {}
         self.contradicted: set[int] = set()
@@ -94,8 +106,7 @@ class Bus:
         self.first_of: dict[int, int] = {}
         """Time [ns] of the first frame of each key."""
         self.orders: list[Order] = []
-        self.descriptions, self.fixed, self.names = descriptions, fixed, names
-        self.maps: dict[int, Map] = dict(fixed)
+        self.maps: dict[int, Map] = dict(self.fixed)
         self.first_ns = self.last_ns = -1
         self.frames = 0
         self.counts: dict[int, int] = {}
@@ -126,9 +137,9 @@ class Bus:
         """Times [ns] within which two nodes produce SYNC, as known."""
         self.silences: list[Silence] = []
         """Silences of the host."""
-        self.bitrate = 0
+        self.bitrate = 0 if rig is None else rig.axes[0].bus.bitrate_bit_s
         """Bit rate [bit/s] of the rig; 0: unknown."""
-        self.host = -1
+        self.host = -1 if rig is None else rig.host.node_id
         """The host's node id, if its heartbeat is known, else -1."""
         self.powered: list[tuple[int, int]] = []
         """Number of drives in Operation Enabled, from each time [ns] of a change."""
@@ -169,9 +180,9 @@ class Bus:
         """Return the node that sends a group's frames; None: the host, or unknown."""
         if key & ~0x7FF or key < 0x81:
             return None
-        known = self.maps.get(key)
-        if known is not None:
-            return known.node if known.direction == "tpdo" else None
+        pdo_map = self.maps.get(key)
+        if pdo_map is not None:
+            return pdo_map.node if pdo_map.direction == "tpdo" else None
         function, number = key & 0x780, key & 0x7F
         if number and function in (EMCY, SDO_TX, HEARTBEAT, *TPDOS):
             return number
@@ -179,9 +190,9 @@ class Bus:
 
     def receiver(self, key: int) -> int | None:
         """Return the node that a group's frames are set-points for: by its map, else by the identifier; None for none."""
-        known = self.maps.get(key)
-        if known is not None:
-            return known.node if known.direction == "rpdo" else None
+        pdo_map = self.maps.get(key)
+        if pdo_map is not None:
+            return pdo_map.node if pdo_map.direction == "rpdo" else None
         return key & 0x7F or None if key in RPDOS and not key & 0x80 else None
 
     def last_heard(self, block: Block | None, number: int, before_ns: int) -> int:
@@ -203,13 +214,13 @@ class Bus:
 
     def ordered(self, number: int, after_ns: int, before_ns: int, *targets: int) -> Order | None:
         """Return the last NMT command to a node between these times, with the given target if any."""
-        for order in reversed(self.orders):
-            if order.t_ns > before_ns:
+        for command in reversed(self.orders):
+            if command.t_ns > before_ns:
                 continue
-            if order.t_ns < after_ns:
+            if command.t_ns < after_ns:
                 return None
-            if order.concerns(number) and (not targets or TARGET.get(NmtCommand(order.command)) in targets):
-                return order
+            if command.concerns(number) and (not targets or TARGET.get(NmtCommand(command.command)) in targets):
+                return command
         return None
 
     def present(self, number: int, t_ns: int) -> bool:
@@ -243,7 +254,7 @@ class Bus:
 
     def _commanded(self, t_ns: int) -> set[int]:
         """Return the node ids of the NMT commands until a time [ns]."""
-        return {order.node for order in self.orders if order.t_ns <= t_ns}
+        return {command.node for command in self.orders if command.t_ns <= t_ns}
 
     def _only_beats(self, number: int, t_ns: int, commanded: set[int]) -> bool:
         others = (
@@ -262,8 +273,8 @@ class Bus:
 
     def left_on_order(self, number: int, before_ns: int) -> bool:
         """Return whether the last NMT command to a node before this time was not a start."""
-        order = self.ordered(number, -1, before_ns)
-        return order is not None and order.command != NmtCommand.START
+        last = self.ordered(number, -1, before_ns)
+        return last is not None and last.command != NmtCommand.START
 
     def is_disarmed(self, number: int, t_ns: int) -> bool:
         """Return whether a node's drive is known not to be in Operation Enabled at a time [ns]."""
@@ -305,18 +316,22 @@ class Bus:
             maps = maps_of(self.nodes, self.descriptions, self.fixed)
             unknown = self.contradicted | self.configured
             self.maps = {}
-            for key, known in maps.items():
-                if known.source != "assumed" or known.node not in unknown:
-                    self.maps[key] = known
-                elif known.synchronous is not None or known.event_ns or known.inhibit_ns:  # type and times were seen
-                    self.maps[key] = replace(known, fields=(), source=SEEN)
+            for key, pdo_map in maps.items():
+                if pdo_map.source != "assumed" or pdo_map.node not in unknown:
+                    self.maps[key] = pdo_map
+                elif (
+                    pdo_map.synchronous is not None or pdo_map.event_ns or pdo_map.inhibit_ns
+                ):  # type and times were seen
+                    self.maps[key] = replace(pdo_map, fields=(), source=SEEN)
 
     def doubt(self, block: Block) -> None:
         """Drop the assumed maps of a node whose PDOs have another length, or a word that is no statusword."""
         doubted = {
-            known.node
+            pdo_map.node
             for key, group in block.groups.items()
-            if (known := self.maps.get(key)) is not None and known.source == "assumed" and _contradicts(group, known)
+            if (pdo_map := self.maps.get(key)) is not None
+            and pdo_map.source == "assumed"
+            and _contradicts(group, pdo_map)
         }
         if doubted:
             self.contradicted |= doubted
@@ -328,23 +343,31 @@ class Bus:
         """Return the EDS file of a node, or None."""
         return self.descriptions.get(number) or self.of_rig.get(number)
 
+    def object_text(self, number: int, index: int, subindex: int) -> str:
+        """Return an object of a node as ``6041h:00 (statusword)``."""
+        description = self.describe(number)
+        name = NAMES.get(index, "")
+        if description is not None and description.has(index, subindex):
+            name = description.variable(index, subindex).name
+        return where(index, subindex) + (f" ({name})" if name else "")
+
     def _compare(self, number: int, identity: tuple[int, int]) -> None:
         """Remove the rig's names from a node that is not the rig's device."""
-        ours = told_identity(self.of_rig[number])
-        if all(seen in (0, told) for seen, told in zip(identity, ours, strict=True)):
+        expected = told_identity(self.of_rig[number])
+        if all(seen in (0, of_rig) for seen, of_rig in zip(identity, expected, strict=True)):
             return
         del self.of_rig[number]
         self.others.append(number)
         self.names.pop(number, None)
-        self.fixed = {can_id: known for can_id, known in self.fixed.items() if known.node != number}
+        self.fixed = {can_id: pdo_map for can_id, pdo_map in self.fixed.items() if pdo_map.node != number}
 
 
-def _contradicts(group: Frames, known: Map) -> bool:
+def _contradicts(group: Frames, pdo_map: Map) -> bool:
     """Return whether frames cannot have an assumed map."""
-    short, long = (group.length < known.length).any(), (group.length > known.length).any()
-    if known.length and (short or (long and known.direction == "tpdo")):
+    short, long = (group.length < pdo_map.length).any(), (group.length > pdo_map.length).any()
+    if pdo_map.length and (short or (long and pdo_map.direction == "tpdo")):
         return True
-    words = [group.word >> field.start for _, field in known.find(0x41) if known.direction == "tpdo"]
+    words = [group.word >> field.start for _, field in pdo_map.find(0x41) if pdo_map.direction == "tpdo"]
     return any(bool((STATE_OF_STATUSWORD[word & 0x7F] < 0).any()) for word in words)
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.explain.bus import Bus, product
+from coulombus.eds.eds_folder import EdsFiles
+from coulombus.explain.bus import Bus
 from coulombus.explain.bus_load import BusLoad
 from coulombus.explain.bus_services import Services
 from coulombus.explain.disturbances import Disturbances
@@ -33,8 +34,7 @@ from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
-from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.recording.maps.seen_maps import maps_of_rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.reading import HOST, RIG
 from coulombus.recording.span import SpanError
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
@@ -80,10 +80,8 @@ class Explainer:
 
     Parameters
     ----------
-    rig
-        Rig with names and PDO maps; None: as learned from the log.
-    eds
-        EDS files of nodes, or files to be matched by identity.
+    known
+        Names and PDO maps of a rig, and EDS files; None: as learned from the log.
     span
         Begin and end [s] of the examined part; None: open.
     epoch_ns
@@ -92,29 +90,13 @@ class Explainer:
 
     def __init__(
         self,
-        rig: Rig | None = None,
-        eds: EdsFiles | None = None,
+        known: KnownBus | None = None,
         span: tuple[float | None, float | None] = (None, None),
         epoch_ns: int | None = None,
     ) -> None:
-        given = dict(eds.of_nodes) if eds is not None else {}
-        names = {node: product(description) for node, description in given.items()}
-        of_rig = {}
-        if rig is not None:
-            of_rig = {node.node_id: node.description for node in rig.nodes}
-            names = {node.node_id: node.name for node in rig.nodes} | names
-        self.bus = Bus(
-            given,
-            maps_of_rig(rig) if rig is not None else {},
-            names,
-            eds.candidates if eds is not None else (),
-            of_rig,
-        )
-        self.bus.host = rig.host.node_id if rig is not None else -1
+        self.bus = Bus(known or KnownBus())
         self._rare = RareFrames(self.bus)
         self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
-        if rig is not None:
-            self.bus.bitrate = rig.axes[0].bus.bitrate_bit_s
         self._load = BusLoad(self.bus)
         self._disturbances, self._services = Disturbances(self.bus), Services(self.bus)
         self._host, self._identifiers, self._batches = HostMarkers(self.bus), Identifiers(), StampBatches()
@@ -353,7 +335,8 @@ def explain(
     first_ns = last_ns = -1
     for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
-            explainer = Explainer(rig or attached_rig(capture, remarks), eds, span, capture.origin_ns)
+            known = KnownBus(rig or attached_rig(capture, remarks), eds or EdsFiles())
+            explainer = Explainer(known, span, capture.origin_ns)
         explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
         first_ns = int(capture.frames["t_ns"][0]) if first_ns < 0 and len(capture.frames) else first_ns
         last_ns = int(capture.frames["t_ns"][-1]) if len(capture.frames) else last_ns

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
-from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.adapter import open_bus
 from coulombus.wire.address import BusAddress
@@ -49,8 +48,7 @@ def explain_bus(
     address: BusAddress,
     tell: Callable[[Explanation, Incident], None],
     *,
-    rig: Rig | None = None,
-    eds: EdsFiles | None = None,
+    known: KnownBus,
     seconds: float | None = None,
 ) -> Explanation:
     """Listen to a bus, and report each incident; nothing is sent.
@@ -61,8 +59,8 @@ def explain_bus(
         The bus.
     tell
         Called with each new incident, and when its state changes.
-    rig, eds
-        As in `Explainer`.
+    known
+        Names and PDO maps of a rig, and EDS files.
     seconds
         Duration [s]; None: until a signal.
 
@@ -71,7 +69,7 @@ def explain_bus(
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    explainer, followed = Explainer(rig, eds), Followed(tell)
+    explainer, followed = Explainer(known), Followed(tell)
     end = None if seconds is None else time.monotonic() + seconds
     looked = 0.0
     with open_bus(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:

@@ -1,21 +1,23 @@
-"""SDO transfers: who did not answer, who did not wait, what was refused, and what is wrong (CiA 301, 7.2.4)."""
+"""SDO transfers: who did not answer, who did not wait, what was refused, and what is wrong (CiA 301, 7.2.4).
+
+`eds.sdo_channel` decodes the frames of each node, with one transfer at a time as the standard has it. Requests that
+do not wait, late answers and time-outs need stamps and the nodes' heartbeats: they are judged here.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
-from coulombus.eds import sdo_forms as forms
+from coulombus.eds import sdo_frames as forms
 from coulombus.eds.cia301 import Abort, abort_text
-from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_channel import NO_BEGINNING, SdoChannel
-from coulombus.eds.sdo_frames import where
+from coulombus.eds.sdo_frames import named, where
 from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import ABORT_CHECKS
 from coulombus.explain.frames import NEVER
-from coulombus.explain.object_names import object_text
 from coulombus.explain.written_objects import WrittenObjects, number_text
 from coulombus.wire.data_word import data_bytes
 
@@ -64,7 +66,7 @@ class _Request:
     subindex: int
     value: int | None  # of an expedited download
     repeated_ns: int = -1  # time at which the client sent it again
-    wrong: bool = False  # its size or CRC is
+    has_wrong_data: bool = False  # size or CRC
     overlaps: bool = False  # another request of the channel was not answered yet
     left_ns: int = -1  # time at which the client asked for something else
     misanswered: bool = False  # an answer about another object came
@@ -136,7 +138,7 @@ class SdoTransfers:
         if are_wrong(remark):
             self._wrong(row, t_ns, number, server, remark)
         if server.running is not None and server.channel.transfer is None:
-            if not server.running.wrong:
+            if not server.running.has_wrong_data:
                 self._done(t_ns, number, server.running)
             server.running = None
         server.last_ns, server.last_by_server = t_ns, from_server
@@ -398,14 +400,14 @@ class SdoTransfers:
         request = server.running or server.answered
         if request is None:
             return
-        request.wrong = True
+        request.has_wrong_data = True
         verb = "write" if request.writes else "read"
         text = f"{verb} of {self._object(number, request.data)}: {remark}"
         clue = self.clues.begin("sdo_data", number, t_ns, text, row=row, subject=request.at)
         clue.who = "client" if request.writes else "node"
 
     def _object(self, number: int, data: bytes) -> str:
-        return object_text(self.bus, number, *named(data))
+        return self.bus.object_text(number, *named(data))
 
 
 def _expedited(says: dict[str, Any]) -> int | None:

@@ -14,8 +14,9 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.monitor.decode import BareDecoder, Row, as_text
-from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.sim_bus.faults.fault_file import FaultPlan
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.network import VirtualNetwork
@@ -63,7 +64,7 @@ class BusLog:
         self._markers: list[tuple[int, str]] = []
         self._lines: list[_Line] = []
         self._decoded = self._devices = 0
-        self._decoder = BareDecoder(EdsFiles())
+        self._decoder = BareDecoder(KnownBus())
         world.on_frames = self.write
 
     def write(self, frames: Records) -> None:
@@ -131,7 +132,8 @@ class BusLog:
         devices = self._world.devices
         if len(devices) > self._devices:  # its EDS names the objects of its earlier frames, too
             self._devices, self._decoded, self._lines = len(devices), 0, []
-            self._decoder = BareDecoder(EdsFiles({device.node_id: device.description for device in devices}))
+            files = EdsFiles({device.node_id: device.description for device in devices})
+            self._decoder = BareDecoder(KnownBus(eds=files))
         for batch in self._batches[self._decoded :]:
             self._lines += map(_line, self._decoder.rows(batch))
             self._decoded += 1

@@ -31,7 +31,7 @@ from coulombus.kernels.decorator import CACHE_DIR, Entry
 from coulombus.kernels.kernel_cache import damaged, empty, leave_lock_to_parent
 from coulombus.kernels.records import new_records
 from coulombus.lab.virtual_bringup import switch_on
-from coulombus.node import core, own_time
+from coulombus.node import own_time
 from coulombus.node.device import Device
 from coulombus.node.record import new_nodes
 from coulombus.node.servo402 import servo_address
@@ -43,8 +43,7 @@ from coulombus.rigs.kinematics.load_mechanism import compile_mechanism
 from coulombus.rigs.kinematics.mechanisms import MECHANISMS
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.can_bus.arbiter import new_bus, start_frame
-from coulombus.sim_bus.can_bus.error_path import attempt
-from coulombus.sim_bus.can_bus.frame_result import end_attempt
+from coulombus.sim_bus.can_bus.error_path import detailed_address
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant_step import course_of
 from coulombus.sim_bus.rig.records import PlantRecord
@@ -82,10 +81,9 @@ def _nodes() -> Iterator[None]:
         device.power_on(0, out)
     servo_address()
     yield
-    for part in (core, own_time):
-        Entry(part.on_time).load(device.record, 0, out)
-        Entry(part.on_frame).load(device.record, 0, 0, 0, 0, out)
-        Entry(part.confinement_changed).load(device.record, 0, 0, out)
+    Entry(own_time.on_time).load(device.record, 0, out)
+    Entry(own_time.on_frame).load(device.record, 0, 0, 0, 0, out)
+    Entry(own_time.confinement_changed).load(device.record, 0, 0, out)
 
 
 def _host() -> Iterator[None]:
@@ -113,9 +111,8 @@ def _bus() -> Iterator[None]:
         course_of(plants)
     yield
     bus, out = new_bus(1_000_000), new_queue()
-    Entry(attempt).load(bus[0], out, 0)
+    detailed_address()
     yield
-    Entry(end_attempt).load(bus[0], out, frames(1), 0)
     Entry(start_frame).load(bus[0], out, 0)
 
 

@@ -30,7 +30,6 @@ from coulombus.eds.cia402 import WordField, word_fields
 from coulombus.eds.pdo import Entry
 from coulombus.eds.sdo_frames import where
 from coulombus.eds.units import fixed_unit
-from coulombus.monitor.names import fields, identifier
 from coulombus.monitor.services import STATES
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.signals import RigPdo
@@ -103,8 +102,8 @@ def _word(name: str) -> str:
 def _names(pdo: RigPdo) -> Iterator[str]:
     """Yield the name of each signal: of its role or, without a rig, of its object; each once."""
     used = set[str]()
-    for signal, entry, start in fields(pdo):
-        name = identifier(signal)
+    for signal, entry, start in pdo.fields():
+        name = signal.identifier
         if pdo.node.isdecimal() and entry.name:  # without a rig
             plain = unicodedata.normalize("NFKD", entry.name.replace("ß", "ss")).encode("ascii", "ignore").decode()
             word = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:LONGEST_NAME]
@@ -125,7 +124,7 @@ def _pdo(pdo: RigPdo, period_ms: int, host: list[str], bits: bool) -> Message:
         length=layout.length,
         signals=[
             part
-            for (signal, entry, start), name in zip(fields(pdo), _names(pdo), strict=True)
+            for (signal, entry, start), name in zip(pdo.fields(), _names(pdo), strict=True)
             for part in _signals(
                 signal, entry, start, name, receivers, word_fields(entry.index) if bits and entry.bits == 16 else ()
             )

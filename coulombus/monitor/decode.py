@@ -19,20 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.eds.cia301 import CobId
-from coulombus.eds.reader import Description
+from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.names import fields
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.file_content import Capture
-from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
 from coulombus.recording.signals import Recording, Source
-from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
@@ -42,8 +39,6 @@ __all__ = ["BareDecoder", "Row", "as_json", "as_text", "bare_rows", "fitted", "r
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
-PDO_NAMES = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
-"""The predefined connection set (CiA 301, section 7.3.5)."""
 
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
 HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X", "6040h:00": "04X", "6041h:00": "04X"}
@@ -64,7 +59,7 @@ def rows(recording: Source) -> Iterator[Row]:
     The PDOs of a block are decoded beforehand, as whole columns.
     """
     rig = recording.rig
-    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
+    services = {channel: _Services(KnownBus(rig.on(channel))) for channel in rig.channels}
     for block in recording:
         yield from _block_rows(block, services)
 
@@ -127,17 +122,17 @@ def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
 def text_lines(recording: Source) -> Iterator[list[str]]:
     """Yield the `printable` lines of each block: `as_text` of each of its `rows`."""
     rig = recording.rig
-    services = {channel: _Services(rig.on(channel)) for channel in rig.channels}
-    kept: dict[tuple[int, int, int, int], str] = {}
+    services = {channel: _Services(KnownBus(rig.on(channel))) for channel in rig.channels}
+    texts: dict[tuple[int, int, int, int], str] = {}
     for block in recording:
         if len(block.frames):
-            yield _block_lines(block, services, kept)
+            yield _block_lines(block, services, texts)
         if block.capture.late:
             yield [printable(as_text(row)) for row in _late_rows(block.capture, block.epoch_ns)]
 
 
 def _block_lines(
-    block: Recording, services: Mapping[str, _Services], kept: dict[tuple[int, int, int, int], str]
+    block: Recording, services: Mapping[str, _Services], texts: dict[tuple[int, int, int, int], str]
 ) -> list[str]:
     frames, channels = block.frames, block.capture.channels or ()
     first, of_source = _of_sources(block, services)
@@ -158,7 +153,7 @@ def _block_lines(
     names = ("can_id", "length", "word", "source")
     keys = zip(*(frames[name][others].tolist() for name in names), strict=True)
     for i, t_s, key in zip(others.tolist(), times[others].tolist(), keys, strict=True):
-        text = kept.get(key)
+        text = texts.get(key)
         if text is None:
             can_id, length, word, source = key
             row = (of_source[source] if of_source else first).row(t_s, can_id, length, word)
@@ -166,9 +161,9 @@ def _block_lines(
                 row["bus"] = channels[source]
             text = printable(as_text(row))[len(_time_text(t_s)) :]
             if "phase" not in row and row.get("service") != "SDO":  # an SDO frame depends on those before it
-                if len(kept) >= MOST_KEPT:
-                    kept.clear()
-                kept[key] = text
+                if len(texts) >= MOST_KEPT:
+                    texts.clear()
+                texts[key] = text
         lines[i] = _time_text(t_s) + text
     for i, text in _comments(block).items():
         lines[i] = printable(f"{lines[i]}  # {text}").rstrip()
@@ -186,7 +181,7 @@ def _row_template(row: Row, table: PdoTable) -> str:
     return "%14.6f" + _head(row)[len(_time_text(0.0)) :].replace("%", "%%") + " " + "  ".join(items)
 
 
-def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> Iterator[Row]:
+def bare_rows(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> Iterator[Row]:
     """Yield one dict for each frame of a log without a rig, in the file's order; then add what was left out to `remarks`.
 
     Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
@@ -199,7 +194,7 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    decoder, epoch_ns = BareDecoder(eds), None
+    decoder, epoch_ns = BareDecoder(known), None
     for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
         epoch_ns = capture.origin_ns if epoch_ns is None else epoch_ns
@@ -213,8 +208,8 @@ def bare_rows(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -
 class BareDecoder:
     """Decodes frames without a rig, as they come: an SDO transfer and a PDO's map depend on those before."""
 
-    def __init__(self, eds: EdsFiles) -> None:
-        self._services, self._maps, self._pdos = _Services(None, eds), LogMaps(eds), dict[int, RigPdo]()
+    def __init__(self, known: KnownBus) -> None:
+        self._services, self._maps, self._pdos = _Services(known), LogMaps(known.eds), dict[int, RigPdo]()
 
     def rows(self, frames: Records, epoch_ns: int = 0) -> Iterator[Row]:
         """Yield one dict for each frame; `epoch_ns` is the time 0 of `t_s`."""
@@ -239,7 +234,7 @@ class BareDecoder:
 def _objects(pdo: RigPdo, word: int, length: int) -> Row:
     """Return the raw values of a frame's mapped objects."""
     values = {}
-    for signal, entry, start in fields(pdo):
+    for signal, entry, start in pdo.fields():
         if start + entry.bits <= 8 * length:
             values[signal.name.rpartition(".")[2]] = entry.number(word, start)
     return values
@@ -248,15 +243,12 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
 class _Services:
     """Decodes frames other than the rig's PDOs; without a rig, every frame, with the names of EDS files."""
 
-    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
-        nodes = () if rig is None else rig.nodes
-        self._names = ({} if rig is None else {rig.host.node_id: "host"}) | {node.node_id: node.name for node in nodes}
-        self._descriptions: dict[str, Description] = {node.name: node.description for node in nodes}
-        self._descriptions |= {
-            str(node_id): description for node_id, description in (eds or EdsFiles()).of_nodes.items()
-        }
+    def __init__(self, known: KnownBus) -> None:
+        nodes = () if known.rig is None else known.rig.nodes
+        self._names = known.names
+        self._descriptions = {node.node_id: node.description for node in nodes} | known.eds.of_nodes
         self._emergencies = {node.emcy_id: node.name for node in nodes}
-        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if rig is None else rig.pdos())}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if known.rig is None else known.pdos)}
         self._servers: dict[int, SdoChannel] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:
@@ -283,8 +275,8 @@ class _Services:
         if can_id in self._pdos:
             pdo = self._pdos[can_id]
             row |= {"node": pdo.node, "pdo": pdo.name, "service": "pdo"}
-            wrong = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
-            return row if remote else row | wrong
+            malformed = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
+            return row if remote else row | malformed
         decoder: Callable[[bytes], Row] | None = None
         if can_id == CobId.NMT:
             row["service"], decoder = "nmt", lambda content: nmt(content, self._name)
@@ -313,7 +305,7 @@ class _Services:
 
     def _sdo(self, node_id: int, data: bytes, from_server: bool) -> Row:
         if node_id not in self._servers:
-            self._servers[node_id] = SdoChannel(self._descriptions.get(self._name(node_id)))
+            self._servers[node_id] = SdoChannel(self._descriptions.get(node_id))
         return self._servers[node_id].row(data, from_server)
 
 

@@ -16,15 +16,15 @@ from operator import itemgetter
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia301 import TPDOS, CobId, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.drive_axis import first_axis_object
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.services import STATES, emcy, lss, nmt
 from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
+from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
@@ -39,7 +39,6 @@ NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 """Services that reveal a node outside the rig."""
-TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
 SENT_BY_NODES = (*CALLS, *TPDOS)
 """Services sent by nodes, including the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
 BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
@@ -85,15 +84,15 @@ class Live:
 
     Parameters
     ----------
-    rig
-        Rig with names, PDOs and expected values. None: nodes are numbers, PDOs are learned from the frames.
-    learned
-        With an assumed rig: the learned PDOs, used when the bus turns out to be another rig's.
+    known
+        Rig with names, PDOs and expected values. Without one: nodes are numbers, PDOs are learned from the frames.
+    assumed
+        The rig is a guess: PDOs are learned, too, and used when the bus turns out to be another rig's.
     """
 
-    def __init__(self, rig: Rig | None, learned: LearnedPdos | None = None) -> None:
-        self.rig = rig
-        self._learned = learned or (LearnedPdos() if rig is None else None)
+    def __init__(self, known: KnownBus, *, assumed: bool = False) -> None:
+        rig = self.rig = known.rig
+        self._learned = LogMaps(known.eds) if rig is None or assumed else None
         self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
         self._lines: dict[int, _Line] = {}
         self._sync = self._lines[CobId.SYNC] = _Line()
@@ -135,8 +134,8 @@ class Live:
 
     def _learn(self, block: Block) -> None:
         """Learn PDOs; without a rig these are shown."""
-        if self._learned is not None and self._learned.take(block) and self.rig is None:
-            self._take_learned(self._learned.pdos())
+        if self._learned is not None and self._learned.take(block.records) and self.rig is None:
+            self._take_learned(self._learned.received_pdos())
 
     def _take_learned(self, pdos: tuple[RigPdo, ...]) -> None:
         self._pdos = pdos
@@ -166,7 +165,7 @@ class Live:
         for node in self._nodes:
             node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
         self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
-        self._take_learned(self._learned.pdos())
+        self._take_learned(self._learned.received_pdos())
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Add frames; no content raises.
@@ -206,15 +205,15 @@ class Live:
         if line.length != -1:
             right = block.lengths[rows] == line.length
             if not right.all():
-                wrong, rows = rows[~right], rows[right]
-                self._row = int(wrong[0])
+                unfit, rows = rows[~right], rows[right]
+                self._row = int(unfit[0])
                 if not line.malformed:
-                    length = block.lengths[wrong[0]]
+                    length = block.lengths[unfit[0]]
                     expected = (
                         f"its map {line.length}" if self.rig is None else f"the rig's has {line.length}: another rig?"
                     )
-                    self._note(int(block.t_ns[wrong[0]]), f"{can_id:03X}h has {length} bytes, {expected}", grave=True)
-                line.malformed += len(wrong)
+                    self._note(int(block.t_ns[unfit[0]]), f"{can_id:03X}h has {length} bytes, {expected}", grave=True)
+                line.malformed += len(unfit)
                 if not len(rows):
                     return
         t_ns = block.t_ns[rows]
@@ -265,8 +264,10 @@ class Live:
         if can_id in (CobId.LSS_TX, CobId.LSS_RX):
             row = lss(data, can_id == CobId.LSS_TX)
             if "command" in row and row["command"] != "fastscan":
-                said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command")
-                self._note(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
+                content = ", ".join(
+                    f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command"
+                )
+                self._note(t_ns, f"LSS: {row['command']}" + (f", {content}" if content else ""))
             return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
         if can_id in self._emergencies:

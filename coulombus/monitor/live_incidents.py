@@ -16,8 +16,7 @@ from coulombus.explain.explanation_text import cause, checks, course, title
 from coulombus.explain.incidents import Incident
 from coulombus.explain.live_bus import LATE_NS, same_incident
 from coulombus.monitor.view_thread import ViewThread
-from coulombus.recording.maps.eds_files import EdsFiles
-from coulombus.rigs.rig import Rig
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.wire.client import Received
 from coulombus.wire.frame_batches import Block
 
@@ -54,14 +53,12 @@ class LiveIncidents:
 
     Parameters
     ----------
-    rig
-        Rig with names and PDO maps of its own nodes.
-    eds
-        EDS files of nodes outside the rig.
+    known
+        Names and PDO maps of a rig, and EDS files.
     """
 
-    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
-        self._explainer = Explainer(rig, eds)
+    def __init__(self, known: KnownBus) -> None:
+        self._explainer = Explainer(known)
 
     def take(self, block: Block) -> None:
         """Process frames."""
@@ -103,12 +100,12 @@ class IncidentReader(ViewThread):
     rows : the incidents at the last look
     """
 
-    def __init__(self, rig: Rig | None, eds: EdsFiles | None = None) -> None:
+    def __init__(self, known: KnownBus) -> None:
         super().__init__("incident reader")
         self.rows: tuple[IncidentRow, ...] = ()
         self.failure = ""
         """Reason why it stopped; empty while it runs."""
-        self._incidents = LiveIncidents(rig, eds)
+        self._incidents = LiveIncidents(known)
         self._lock = threading.Lock()
         self._waiting: list[Block] = []
         self._frames = 0

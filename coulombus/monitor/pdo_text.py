@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from coulombus.eds.cia402 import word_fields
-from coulombus.monitor.names import fields
 from coulombus.monitor.snapshot import PdoRow
 from coulombus.rigs.signals import RigPdo
 
@@ -31,7 +30,7 @@ def as_lines(pdo: RigPdo, now: PdoRow | None = None) -> Iterator[str]:
     last = "value of one bit" if now is None else "last value"
     values = {} if now is None else {value.name: value.value for value in now.values}
     yield f"     {'bits':>5}  {'object':<9} {'signal':<32} {'unit':<7} {last}"
-    for signal, entry, start in fields(pdo):
+    for signal, entry, start in pdo.fields():
         bits = f"{start}-{start + entry.bits - 1}" if entry.bits > 1 else str(start)
         place, scale = f"{entry.index:04X}h:{entry.subindex}", f"{signal.scale:.6g}" if signal.unit else ""
         offset = f"{signal.offset:+.6g}" if signal.offset else ""
@@ -84,7 +83,7 @@ def as_dict(pdo: RigPdo, now: PdoRow | None = None) -> dict[str, Any]:
                 "unit": signal.unit,
                 "fields": {part.name: [part.start, part.bits] for part in word_fields(entry.index)},
             }
-            for signal, entry, start in fields(pdo)
+            for signal, entry, start in pdo.fields()
         ],
     }
     if now is not None:

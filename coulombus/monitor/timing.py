@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.signals import Source
@@ -37,7 +36,6 @@ MOST_WAITING = 4096
 """Frames of a live bus that wait to be counted."""
 NAMES = {int(service): service.name for service in CobId}
 FUNCTION = 0x780
-PDOS = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
 NODE_SERVICES = {
     int(CobId.EMCY): "EMCY",
     int(CobId.SDO_TX): "SDO tx",
@@ -174,7 +172,7 @@ def recorded(source: Source) -> dict[str, Stamps]:
     return stamps
 
 
-def recorded_bare(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str]) -> tuple[KnownBus, Stamps]:
+def recorded_bare(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> tuple[KnownBus, Stamps]:
     """Return what a log without a rig tells of one bus, and its stamps; add what was left out to `remarks`.
 
     Raises
@@ -184,12 +182,12 @@ def recorded_bare(path: Path, channel: Channel, eds: EdsFiles, remarks: list[str
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    stamps, maps = Stamps(), LogMaps(eds)
+    stamps, maps = Stamps(), LogMaps(known.eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
         maps.take(frames)
         stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
-    return KnownBus("", (), maps.pdos()), stamps
+    return KnownBus(learned=maps.pdos()), stamps
 
 
 def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
@@ -213,7 +211,7 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
                 period_ms=None if period is None else period / 1e6,
                 jitter=None if period is None else Spread.of(line.gaps.distances(period)),
                 from_sync=Spread.of(line.delays)
-                if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDOS)
+                if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDO_NAMES)
                 else None,
             )
         )
@@ -228,7 +226,7 @@ def _name(can_id: int, nodes: Mapping[int, str]) -> str:
         return "extended"
     if can_id in NAMES and not (can_id & 0x7F and can_id < CobId.LSS_TX):
         return NAMES[can_id]
-    service = NODE_SERVICES.get(can_id & FUNCTION) or ("" if nodes else PDOS.get(can_id & FUNCTION))
+    service = NODE_SERVICES.get(can_id & FUNCTION) or ("" if nodes else PDO_NAMES.get(can_id & FUNCTION))
     node = nodes.get(can_id & 0x7F, str(can_id & 0x7F))
     return f"{node} {service}" if service else "-"
 

@@ -24,16 +24,13 @@ from rich.live import Live as Display
 
 from coulombus.monitor.bus_reader import BusReader
 from coulombus.monitor.incident_lines import OpenedIncident, news
-from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, IncidentRow
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import Event, HostLine, Snapshot
 from coulombus.monitor.traces import Trace, Traces
 from coulombus.monitor.view_thread import ViewThread
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.known_bus import KnownBus
-from coulombus.rigs.rig import Rig
 from coulombus.system.foreign_text import printable
 from coulombus.system.keyboard import Keys, in_foreground
 from coulombus.system.printable_console import PrintableConsole
@@ -68,15 +65,13 @@ class LiveView:
     """Signals that a terminal plots over the last ten seconds."""
     assumed: bool = False
     """Whether the rig is a guess: it is dropped if the bus turns out to be another rig's."""
-    eds: EdsFiles | None = None
-    """EDS files of nodes outside the rig."""
 
 
 EVERYTHING = LiveView()
 
 
 def watch(
-    rig: Rig | None,
+    known: KnownBus,
     address: BusAddress,
     view: LiveView = EVERYTHING,
     *,
@@ -88,7 +83,7 @@ def watch(
 
     Parameters
     ----------
-    rig : None: nodes are numbers, PDOs are learned from the frames and from ``view.eds``
+    known : without a rig, nodes are numbers, and PDOs are learned from the frames and EDS files
     host : returns the state of the bus' host, or the end of the last one, or None; called twice a
         second in a separate thread
 
@@ -100,9 +95,9 @@ def watch(
         the rig has no signal of ``view.scope``
     """
     console = console or PrintableConsole()
-    live = Live(rig, LearnedPdos(view.eds) if rig is None or view.assumed else None)
-    traces = None if rig is None else Traces(rig, view.scope)
-    incidents = IncidentReader(rig, view.eds)
+    live = Live(known, assumed=view.assumed)
+    traces = None if known.rig is None else Traces(known.rig, view.scope)
+    incidents = IncidentReader(known)
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
@@ -160,7 +155,7 @@ def look_once(known: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    live = Live(known.rig, LearnedPdos(known.eds) if known.rig is None else None)
+    live = Live(known)
     live.snapshot(time.time_ns())
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
     with open_bus(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:

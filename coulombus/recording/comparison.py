@@ -20,10 +20,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.difference import Comparison, Difference, Pair
 from coulombus.recording.long_recording import LongRecording
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.piecewise import CommonSpan, Cursor, Tally, pair_in, pieces
 from coulombus.recording.reading import read
 from coulombus.recording.signal_names import UnknownSignal

@@ -17,6 +17,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+from coulombus.eds.eds_folder import EdsFiles, eds_files
 from coulombus.recording.block_source import HOST, WHOLE, Blocks, Span, bus_match, captures, first_rows, remaps
 from coulombus.recording.bus_match import Channel, channel_texts, recorded_channel
 from coulombus.recording.file_content import Capture
@@ -26,7 +27,6 @@ from coulombus.recording.host_telemetry import inside_pdos
 from coulombus.recording.log_files import LogError, is_log
 from coulombus.recording.logs.content import Content
 from coulombus.recording.long_recording import LongRecording
-from coulombus.recording.maps.eds_files import EdsFiles, eds_files
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.signals import GIVE_RIG, Recording, decode

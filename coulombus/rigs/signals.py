@@ -13,10 +13,12 @@ device: "brake.handle_torque_Nm" is also the handle torque of a transducer's own
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
-from coulombus.eds.pdo import PdoLayout
+from coulombus.eds.pdo import Entry, PdoLayout
 from coulombus.eds.reader import Description
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.frozen_map import FrozenMap
@@ -46,6 +48,21 @@ class Signal:
     def key(self) -> str:
         """The name without its axis: "motor.position_rad"."""
         return ".".join(self.name.split(".")[-2:])
+
+    @property
+    def identifier(self) -> str:
+        """The last part of the name as an identifier for any tool; an object without a role, "6060h:0", is
+        "object_6060h_0".
+        """
+        word = re.sub(r"\W", "_", self.name.rpartition(".")[2])
+        return f"object_{word}" if word[:1].isdigit() else word
+
+    @property
+    def plain_name(self) -> str:
+        """The name as words, without its unit: "motor.position" of "motor.position_rad"."""
+        unit = "_" + self.unit.replace("/", "_").replace(" ", "_")
+        head, dot, _ = self.name.rpartition(".")
+        return head + dot + (self.identifier.removesuffix(unit) if self.unit else self.identifier)
 
     def si(self, raw: float) -> float:
         """Return the SI value of a raw number."""
@@ -92,6 +109,12 @@ class RigPdo:
     def name(self) -> str:
         """Its name within the node, as "TPDO1"."""
         return f"{self.layout.direction.upper()}{self.layout.number}"
+
+    def fields(self) -> Iterator[tuple[Signal, Entry, int]]:
+        """Yield signal, entry and first bit of its content, without gaps."""
+        for signal, entry, start in zip(self.signals, self.layout.entries, self.layout.starts, strict=True):
+            if not entry.dummy:
+                yield signal, entry, start
 
     def value(self, place: int, word: int) -> float:
         """Return the value of the signal at `place` in a frame's data word: in SI, of a word of bits raw."""

@@ -12,8 +12,8 @@ from contextlib import suppress
 from typing import Generic, TypeVar
 
 from coulombus.eds.cia301 import Abort, CobId
-from coulombus.eds.sdo_answers import SdoAnswers, named
-from coulombus.eds.sdo_frames import where
+from coulombus.eds.sdo_answers import SdoAnswers
+from coulombus.eds.sdo_frames import named, where
 from coulombus.host.errors import HostError
 from coulombus.host.sdo.transfers import (
     APART,

@@ -14,8 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from coulombus.eds.cia301 import Abort, abort_text
-from coulombus.eds.sdo_answers import named
-from coulombus.eds.sdo_frames import crc16, head, where
+from coulombus.eds.sdo_frames import crc16, head, named, where
 from coulombus.host.errors import AnswerUntrusted, NodeMissing, SdoAborted
 
 __all__ = [

@@ -5,17 +5,22 @@ or if two stations send the same arbitration field. `attempt` starts the next fr
 and then either the frame passes undisturbed (`Stage.WATCHED`), or `sim_bus.can_bus.bit_level`
 simulates its bits, with all stations whose frames are ready as senders.
 `sim_bus.can_bus.frame_result` ends it.
+
+All of this is one function, which the event loop calls by the address in `BusRecord.detailed`: a
+run without errors compiles none of it.
 """
 
 from __future__ import annotations
 
+from coulombus.kernels.by_address import call_part, part_address
 from coulombus.kernels.decorator import inlined, kernel
+from coulombus.kernels.records import dtype_of
 from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
 from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS, Stage
 from coulombus.sim_bus.can_bus.controller_bits import may_start
 from coulombus.sim_bus.can_bus.fault_confinement import CanState, recover
 from coulombus.sim_bus.can_bus.faults import alarm, strike, strike_nothing
-from coulombus.sim_bus.can_bus.frame_result import lose
+from coulombus.sim_bus.can_bus.frame_result import end_attempt, lose
 from coulombus.sim_bus.can_bus.records import MAX_SENDERS, STATION_MASK, BusRecord
 from coulombus.sim_bus.can_bus.stations import attach, refresh
 from coulombus.sim_bus.can_bus.tx_queue import (
@@ -30,7 +35,34 @@ from coulombus.sim_bus.can_bus.tx_queue import (
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.frame import Queue
 
-__all__ = ["attempt"]
+__all__ = ["attempt", "detailed_address", "detailed_end", "detailed_start"]
+
+_START, _END = 0, 1
+
+
+@inlined
+def detailed_start(bus: BusRecord, out: Queue, now_ns: int) -> None:
+    """Call `attempt` by its address."""
+    call_part(bus.detailed, bus, out, _START, now_ns)
+
+
+@inlined
+def detailed_end(bus: BusRecord, out: Queue) -> int:
+    """Call `sim_bus.can_bus.frame_result.end_attempt` by its address."""
+    rows: int = call_part(bus.detailed, bus, out, _END, 0)
+    return rows
+
+
+def _detailed(bus: BusRecord, out: Queue, part: int, now_ns: int) -> int:
+    if part == _END:
+        return int(end_attempt(bus, out))
+    attempt(bus, out, now_ns)
+    return 0
+
+
+def detailed_address() -> int:
+    """Return the function's address, compiled or loaded from the cache."""
+    return part_address(_detailed, dtype_of(BusRecord), dtype_of(Queue))
 
 
 @inlined

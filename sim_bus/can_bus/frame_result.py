@@ -1,24 +1,6 @@
 """Compiled end of a frame on the detailed path, or of a bit-level simulation.
 
-It writes the reports to the log, and sets the next state of the senders. The reports are error frames in
-the format of Linux's CAN drivers (include/uapi/linux/can/error.h): the identifier has the classes, the
-eight bytes have the details.
-
-====== =======================================================================
-byte   content
-====== =======================================================================
-0      bit in which the arbitration was lost: 0 is the start of frame, stuff bits do not count
-1      controller's change of state: warning, passive, active again
-2      type of a protocol error: bit, form, stuff, overload; 80h: on transmission
-3      position in the frame
-4      (transceiver: not used here)
-5      number of the reported station, its low eight bits
-6, 7   transmit and receive error counter of that station
-====== =======================================================================
-
-All classes for which Linux also sends counters carry CAN_ERR_CNT.
-
-    c : the record of a controller
+It writes the reports, and sets the next state of the senders.
 """
 
 from __future__ import annotations
@@ -27,6 +9,7 @@ from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bit_level import run_bits
 from coulombus.sim_bus.can_bus.bus_state import NS, SUSPEND_BITS, Delivered, Stage
 from coulombus.sim_bus.can_bus.controller_bits import FrameFate
+from coulombus.sim_bus.can_bus.error_frames import error_frame, lost_frame, state_frame
 from coulombus.sim_bus.can_bus.fault_confinement import (
     PASSIVE_LEVEL,
     CanState,
@@ -35,74 +18,16 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_sent,
 )
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, FaultKind, fire, plan_alarm
-from coulombus.sim_bus.can_bus.records import NOBODY, STATION_MASK, BusRecord, ControllerRecord, is_meant
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, NOBODY, STATION_MASK, BusRecord, is_meant
 from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
 from coulombus.wire.controller_state import Confinement
-from coulombus.wire.error_frames import (
-    ACTIVE_AGAIN,
-    BUS_OFF,
-    CONTROLLER,
-    COUNTERS,
-    LOST_ARBITRATION,
-    RESTARTED,
-    RX_PASSIVE,
-    RX_WARNING,
-    TX_PASSIVE,
-    TX_WARNING,
-)
-from coulombus.wire.frame import CAN_ERR_FLAG, Queue, Records
+from coulombus.wire.frame import Queue
 
-__all__ = ["MOST_ROWS", "end_attempt", "error_frame", "lose", "lost_frame", "state_frame", "with_counters"]
+__all__ = ["end_attempt", "lose"]
 
-
-@inlined
-def with_counters(word: int, c: ControllerRecord) -> int:
-    """Return the eight bytes with a controller's counters in the last two."""
-    counters = min(c.tec, 255) | min(c.rec, 255) << 8
-    signed: int = (word & 0xFFFF_FFFF_FFFF) | ((counters ^ 0x8000) - 0x8000) << 48
-    return signed
-
-
-@kernel
-def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that reports an error on the bus."""
-    word = kind << 16 | place << 24 | (station & 0xFF) << 40
-    return CAN_ERR_FLAG | COUNTERS | classes, with_counters(word, c)
-
-
-@kernel
-def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that reports a given-up frame to its station: the arbitration
-    was lost in `bit`.
-    """
-    return CAN_ERR_FLAG | COUNTERS | LOST_ARBITRATION, with_counters(bit | (station & 0xFF) << 40, c)
-
-
-@kernel
-def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that reports a controller's new state."""
-    classes = COUNTERS
-    how = 0
-    if c.recovered:
-        classes |= RESTARTED
-    if c.state == CanState.BUS_OFF:
-        classes |= BUS_OFF
-    elif c.state == CanState.ERROR_ACTIVE:
-        classes |= CONTROLLER
-        how = ACTIVE_AGAIN
-    else:
-        classes |= CONTROLLER
-        passive = c.state == CanState.ERROR_PASSIVE
-        if c.tec >= c.rec:
-            how |= TX_PASSIVE if passive else TX_WARNING
-        if c.rec >= c.tec:
-            how |= RX_PASSIVE if passive else RX_WARNING
-    return CAN_ERR_FLAG | classes, with_counters(how << 8 | (station & 0xFF) << 40, c)
-
-
-MOST_ROWS = 16
-"""Largest number of log rows for the end of a frame."""
+_LAST = MOST_ROWS - 2
+"""First row of the reports that is reserved for an error and the frame."""
 
 _TOLD = tuple(
     map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
@@ -129,9 +54,9 @@ def _once_more(bus: BusRecord) -> None:
 
 
 @kernel
-def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: int) -> None:
-    frame = log[row]
-    frame.t_ns = t_ns
+def _write(bus: BusRecord, row: int, can_id: int, word: int, source: int) -> None:
+    frame = bus.report[row]
+    frame.t_ns = bus.end_ns
     frame.can_id = can_id
     frame.length = 8
     frame.word = word
@@ -139,7 +64,7 @@ def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: in
 
 
 @kernel
-def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
+def _tell_given_up(bus: BusRecord, row: int) -> int:
     """Write the bit in which each one-shot sender lost the arbitration.
 
     Return the next row.
@@ -150,11 +75,11 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
         c = bus.stations[source & STATION_MASK]
         if bus.tx[k].state != FrameFate.LOST or not c.one_shot:
             continue
-        if row == last:
+        if row == _LAST:
             bus.seen.gave_up = 1
         else:
             can_id, word = lost_frame(c, source, bus.tx[k].lost_bit)
-            _write(log, row, bus.end_ns, can_id, word, source)
+            _write(bus, row, can_id, word, source)
             row += 1
             bus.tx[k].state = FrameFate.GIVEN_UP
             c.dropped += 1
@@ -162,15 +87,15 @@ def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
 
 
 @inlined
-def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) -> int:
+def _tell_states(bus: BusRecord, out: Queue, row: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
         c = bus.stations[station]
-        if c.changed == 0 or row >= last:
+        if c.changed == 0 or row >= _LAST:
             continue
         can_id, word = state_frame(c, station)
-        _write(log, row, bus.end_ns, can_id, word, number(station))
+        _write(bus, row, can_id, word, number(station))
         row += 1
         if c.recovered:
             c.confinement = Confinement.RECOVERED
@@ -267,20 +192,19 @@ def _tell_stuck(bus: BusRecord) -> None:
 
 
 @inlined
-def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
+def _tell_error(bus: BusRecord, row: int) -> None:
     """Write the first error of this simulation."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
-    _write(log, row, bus.end_ns, can_id, word, number(seen.source))
+    _write(bus, row, can_id, word, number(seen.source))
     bus.errors += 1
 
 
 @inlined
-def _deliver(bus: BusRecord, log: Records, row: int) -> None:
+def _deliver(bus: BusRecord, row: int) -> None:
     """Write the bus's frame for its receivers; the faults that it has triggered are due."""
-    _write(log, row, bus.end_ns, bus.can_id, bus.word, bus.source)
-    log[row].length = bus.length
-    bus.partial_row = row
+    _write(bus, row, bus.can_id, bus.word, bus.source)
+    bus.report[row].length = bus.length
     bus.delivered = Delivered.HEARERS
     bus.fault_calls |= bus.fault_due
     bus.fault_due = 0
@@ -295,10 +219,10 @@ def _play_on(bus: BusRecord) -> None:
 
 
 @kernel
-def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
+def end_attempt(bus: BusRecord, out: Queue) -> int:
     """End a frame, or a bit-level simulation, at `end_ns`.
 
-    Return the number of log rows written; the last is the frame's.
+    Return the number of rows of `BusRecord.report` written; the last is the frame's.
     """
     bus.delivered = Delivered.NOBODY
     if bus.stage == Stage.TOLD:
@@ -306,31 +230,30 @@ def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
         return 0
     if bus.stuck.from_ns < bus.end_ns:
         _tell_stuck(bus)
-    first = row
-    last = min(row + MOST_ROWS, log.shape[0]) - 2
+    row = 0
     slowly = bus.stage >= Stage.PLAYED
     if bus.stage == Stage.WATCHED:
         _settle(bus)
     if slowly and bus.seen.gave_up:
-        row = _tell_given_up(bus, log, row, last)
-    row = _tell_states(bus, out, log, row, last)
+        row = _tell_given_up(bus, row)
+    row = _tell_states(bus, out, row)
     if slowly and bus.seen.tell:
-        _tell_error(bus, log, row)
+        _tell_error(bus, row)
         row += 1
     if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
-        _deliver(bus, log, row)
+        _deliver(bus, row)
         row += 1
     if slowly and bus.seen.gave_up:  # the last bit has more events: the next end, at the same time, reports them
         bus.play.passed = bus.seen.tell = 0
-        return row - first
+        return row
     if bus.stage == Stage.PLAYED:
         bus.stage = Stage.TOLD
-        return row - first
+        return row
     bus.stage = Stage.FREE
     if slowly:
         _end_slow(bus)
-    if slowly or row - first > 1:
+    if slowly or row > 1:
         plan_alarm(bus, bus.end_ns)
     if bus.fault_count == 0 or bus.limited:
         refresh(bus)
-    return row - first
+    return row

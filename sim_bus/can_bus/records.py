@@ -13,6 +13,7 @@ import numpy as np
 from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import IntegerField, Record, RecordArray
 from coulombus.sim_bus.can_bus.bus_state import ErrorKind
+from coulombus.wire.frame import Frame
 
 __all__ = [
     "ALL",
@@ -22,6 +23,7 @@ __all__ = [
     "MAX_FAULTS",
     "MAX_FLIPS",
     "MAX_SENDERS",
+    "MOST_ROWS",
     "MOST_TOLD",
     "NOBODY",
     "ROOM",
@@ -55,6 +57,8 @@ MAX_FAULTS = 62
 MOST_TOLD = 512
 """Injections stored between two reads; more are only counted."""
 MAX_FLIPS = 16
+MOST_ROWS = 16
+"""Largest number of log rows for the end of a frame."""
 
 
 @inlined
@@ -267,9 +271,11 @@ class BusRecord(Record):
     held_source: Annotated[IntegerField, ROOM]  # by place: station
     # present stations (`stations`)
     alert: int  # 1: the detailed path is necessary
+    detailed: int  # address of the detailed path (`error_path`); 0: it is not compiled yet
     on_count: int  # number of switched-on stations
     on: Annotated[IntegerField, STATIONS]  # rows of the switched-on stations
     # ends of frames (`frame_result`)
+    report: Annotated[RecordArray[Frame], MOST_ROWS]  # log rows of the last end on the detailed path
     partial_row: int  # log row of the last frame delivered to `Delivered.HEARERS`
     errors: int  # reported errors of all stations
     retransmissions: int  # frames sent again

@@ -36,9 +36,8 @@ from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, choose, on_its_bus
-from coulombus.sim_bus.can_bus.error_path import attempt
-from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
-from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.error_path import detailed_end, detailed_start
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
@@ -81,6 +80,7 @@ class Exit(IntEnum):
     PHASE = 5  # the host entered another phase
     SCRIPT = 6  # a script's entry is due
     FAULT = 7  # a frame has triggered a fault that the bus cannot inject itself
+    DETAIL = 8  # the bus needs its detailed path, which is not compiled yet
 
 
 FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
@@ -254,10 +254,18 @@ def _end(world: World, course: CourseFunction, b: BusRecord) -> None:
         if b.cut == SEVERAL:
             world.log[first].source += b.half << BUS_SHIFT
         return
-    w.log_count += end_attempt(b, world.out, world.log, w.log_count)
-    if b.cut == SEVERAL:
-        for row in range(first, w.log_count):
-            world.log[row].source += b.half << BUS_SHIFT
+    for row in range(detailed_end(b, world.out)):
+        report, frame = b.report[row], world.log[first + row]
+        frame.t_ns = report.t_ns
+        frame.can_id = report.can_id
+        frame.length = report.length
+        frame.word = report.word
+        frame.source = report.source
+        if b.cut == SEVERAL:
+            frame.source += b.half << BUS_SHIFT
+        w.log_count += 1
+    if b.delivered != Delivered.NOBODY:
+        b.partial_row = w.log_count - 1
     if b.confinements == 0:
         return
     b.confinements = 0
@@ -348,7 +356,9 @@ def run(
         w.t_ns = t
         if what == FRAME_START:
             if not start_frame(b, out, t):
-                attempt(b, out, t)
+                if b.detailed == 0:
+                    return Exit.DETAIL
+                detailed_start(b, out, t)
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
@@ -367,10 +377,7 @@ def run(
             a = axis_of[i]
             if a >= 0:
                 _look(world, course, a, t)
-            if nodes[i].clock_on == 0:
-                core.on_time(nodes[i], t, out)
-            else:
-                own_time.on_time(nodes[i], t, out)
+            own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
                 actuate(world, course, a, t)
@@ -388,11 +395,7 @@ def run(
                 if nodes[i].powered and receives(b, i) and on_its_bus(b, i):
                     if axis_of[i] >= 0 and core.reads_inputs(nodes[i], b.can_id):
                         _read(world, course, axis_of[i], t)
-                    if nodes[i].clock_on == 0:
-                        request = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
-                    else:
-                        request = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
-                    if request != 0:
+                    if own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out) != 0:
                         w.service[w.services] = i
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])

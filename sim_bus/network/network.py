@@ -53,6 +53,7 @@ from coulombus.node.record import new_nodes
 from coulombus.rigs.arguments import a_number, path_text
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, new_bus
 from coulombus.sim_bus.can_bus.cable_cut import divide, wire_of
+from coulombus.sim_bus.can_bus.error_path import detailed_address
 from coulombus.sim_bus.can_bus.stations import attach, detach
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.sim_bus.network.attached_axes import AttachedAxes, with_load, without_mechanics
@@ -318,6 +319,10 @@ class VirtualNetwork:
                 if reason is Exit.UNTIL or (condition is not None and condition()):
                     return
 
+    def load_detail(self) -> None:
+        """Compile the bus's detailed path, or load it from the cache, before a frame needs it."""
+        self.bus["detailed"] = detailed_address()
+
     def at(self, t_ns: int, action: Callable[[Self], None]) -> None:
         """Schedule `action(network)` at the virtual time `t_ns`, as a script entry."""
         heapq.heappush(self._script, (t_ns, self._planned, action))
@@ -332,6 +337,8 @@ class VirtualNetwork:
             self._serve()
         elif why == Exit.LOG:
             self.flush()
+        elif why == Exit.DETAIL:
+            self.load_detail()
         elif why == Exit.FAULT and self.injection is not None:
             self.injection.act()
         elif why == Exit.SCRIPT:

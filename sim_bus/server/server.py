@@ -103,6 +103,7 @@ class BusServer:
         self._ended = False
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
         self._load()
+        self.world.load_detail()
         warm_up(make_world(self.bit_rate, True))
         try:
             for bus, raw in enumerate(raws):

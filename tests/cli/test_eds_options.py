@@ -50,9 +50,9 @@ def test_the_pdos_of_a_log_are_drawn(log):
 
 def test_the_page_of_a_log_has_a_plot_of_each_pdo(log):
     pytest.importorskip("tornado")
+    from coulombus.eds.eds_folder import eds_files
     from coulombus.explain.explained import explain
     from coulombus.monitor.web.recording_page import RecordingPage
-    from coulombus.recording.maps.eds_files import eds_files
     from coulombus.recording.reading import read
 
     files = eds_files([MOTOR])

@@ -431,3 +431,14 @@ def test_what_ends_without_an_answer_has_no_bytes(length):
     rows = followed(bus.recorded)
     assert joined(rows) == []
     assert [row["phase"] for row in rows][-1] == "Abort transfer"
+
+
+def test_a_transfer_is_completed_by_the_frame_that_ends_it():
+    channel = SdoChannel(None)
+    request, response = bytes.fromhex("2B00200134120000"), bytes.fromhex("6000200100000000")
+    ended = []
+    for data, from_server in ((request, False), (response, True), (response, True)):
+        channel.row(data, from_server)
+        ended.append(channel.completed)
+    assert [transfer is not None for transfer in ended] == [False, True, False]
+    assert (ended[1].place, ended[1].upload, bytes(ended[1].joined.content)) == (PLACE, False, b"\x34\x12")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from coulombus.explain.explained import Explainer
 from coulombus.explain.live_bus import Followed, explain_bus
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import parse_address
 from explain_log import machine
@@ -22,7 +23,7 @@ def test_a_live_bus_is_explained(private_sockets, monkeypatch):
 
         monkeypatch.setattr("coulombus.explain.live_bus.StopSignals", Heard)
         tell = lambda explanation, incident: told.append((incident.root.kind, incident.node, incident.status))  # noqa: E731
-        explanation = explain_bus(parse_address("coulombus:t"), tell, seconds=0.3)
+        explanation = explain_bus(parse_address("coulombus:t"), tell, known=KnownBus(), seconds=0.3)
         assert bus.frames == []  # nothing is sent
     assert explanation.verdict == "unresolved"
     assert told == [("emcy", 3, "unresolved")]

@@ -7,6 +7,7 @@ import pytest
 
 from coulombus.explain.explained import Explainer
 from coulombus.lab.simulate import simulate
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.reading import read
 
 MS = 1_000_000
@@ -42,7 +43,7 @@ def later(frames, last_ns, delay_ns):
 
 def looked_at(frames, rig, step):
     """Take the frames in steps; return all incidents that were ever shown."""
-    explainer, shown = Explainer(rig), []
+    explainer, shown = Explainer(KnownBus(rig)), []
     for first in range(0, len(frames), step):
         explainer.take(frames[first : first + step])
         explainer.look()

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.explain_runs import outcome
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.explain.explained import Explainer
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_word
 from coulombus.wire.frame import FRAME
@@ -40,7 +42,7 @@ def heads(explanation, shift_ms=0.0):
 
 
 def explained(frames, size=None, files=None, live=False):
-    explainer = Explainer(eds=files)
+    explainer = Explainer(KnownBus(eds=files or EdsFiles()))
     for start in range(0, len(frames), size or len(frames)):
         explainer.take(frames[start : start + (size or len(frames))])
         if live:

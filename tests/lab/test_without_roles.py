@@ -23,6 +23,7 @@ from coulombus.monitor.decode import rows
 from coulombus.monitor.live import Live
 from coulombus.monitor.screen import as_dict
 from coulombus.recording.friction.identify import IdentifyError, identify
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import data_bytes
@@ -102,7 +103,7 @@ def test_decode_replay_and_watch_take_it(recorded):
     assert host_replay(path).difference is None
     recording = blocks(path)
     assert sum(1 for row in rows(recording) if row["pdo"] == "TPDO1") > 1000
-    live = Live(recorded.rig)
+    live = Live(KnownBus(recorded.rig))
     frames = next(iter(recording)).frames[:500]
     live.take([(int(f["t_ns"]), int(f["can_id"]), int(f["length"]), data_bytes(int(f["word"]), 8)) for f in frames])
     facts = {"bus": "", "bitrate_bit_s": 1_000_000, "lost": 0, "malformed": 0}

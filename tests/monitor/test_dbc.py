@@ -24,7 +24,7 @@ def read(text):
 
 
 def test_scales_units_and_signs_are_the_rigs_bit_for_bit(rig):
-    database = read(database_text(KnownBus.of_rig(rig)))
+    database = read(database_text(KnownBus(rig)))
     for pdo in rig.pdos():
         message = database.get_message_by_frame_id(pdo.layout.cob_id)
         assert message.length == pdo.layout.length
@@ -38,7 +38,7 @@ def test_scales_units_and_signs_are_the_rigs_bit_for_bit(rig):
 
 def test_a_frame_decoded_by_cantools():
     rig = load_rig("bench")
-    database = read(database_text(KnownBus.of_rig(rig)))
+    database = read(database_text(KnownBus(rig)))
     data = struct.pack("<Hih", 0x1237, -819200, -250)
     values = database.decode_message("motor_TPDO1", data)
     assert values["statusword"] == 0x1237
@@ -48,7 +48,7 @@ def test_a_frame_decoded_by_cantools():
 
 
 def test_services_are_decoded_too():
-    database = read(database_text(KnownBus.of_rig(load_rig("bench"))))
+    database = read(database_text(KnownBus(load_rig("bench"))))
     assert database.decode_message(0x701, b"\x05")["state"] == "operational"
     assert database.decode_message(0x000, b"\x80\x00") == {"command": "enter_pre_operational", "node": "all"}
     assert database.decode_message(0x082, bytes.fromhex("5082 11 0000000000"))["code"] == "RPDO time-out"

@@ -13,6 +13,7 @@ from coulombus.monitor.live import BITS, Live
 from coulombus.monitor.screen import CHANGED, Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import HostLine
 from coulombus.monitor.watch import ViewKeys, _Asker
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.bits import worst_case_bits
 from host_bench import VELOCITY
@@ -40,7 +41,7 @@ def texts(snapshot):
 
 
 def test_values_in_si_units_rates_and_ages(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     for i in range(1000):
         live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
@@ -61,7 +62,7 @@ def test_values_in_si_units_rates_and_ages(rig):
 
 
 def test_rate_is_of_the_last_second(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     for tenth in range(30):
         live.take([frame(tenth / 10, 0x80)] * (100 if tenth < 10 else 10))
         snapshot = live.snapshot(T0 + tenth * S // 10)
@@ -69,7 +70,7 @@ def test_rate_is_of_the_last_second(rig):
 
 
 def test_states_of_the_drive_as_they_change(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([tpdo1(0, 0x0250), tpdo1(0.1, 0x0231), tpdo1(0.2, 0x0237), tpdo1(0.3, 0x0218)])
     snapshot = live.snapshot(T0 + S)
     assert texts(snapshot) == [
@@ -83,7 +84,7 @@ def test_states_of_the_drive_as_they_change(rig):
 
 
 def test_heartbeats_boot_up_and_silence(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([frame(0, 0x701, b"\0"), frame(0.01, 0x701, b"\x7f"), frame(0.06, 0x701, b"\x05")])
     live.take([frame(0.06, 0x77F, b"\x05")])
     snapshot = live.snapshot(T0 + S // 10)
@@ -102,7 +103,7 @@ def test_heartbeats_boot_up_and_silence(rig):
 
 
 def test_sync_that_stops_and_comes_back(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     assert texts(live.snapshot(T0)) == []
     live.take([frame(0, 0x80)])
     assert texts(live.snapshot(T0 + S)) == ["SYNC stopped"]
@@ -112,7 +113,7 @@ def test_sync_that_stops_and_comes_back(rig):
 
 
 def test_an_emergency_of_another_length_is_told_with_its_code(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([frame(0, 0x082, bytes.fromhex("102301000000")), frame(0, 0x081, b"\x10"), frame(0, 0x081, bytes(2))])
     assert texts(live.snapshot(T0)) == [
         "brake: EMCY 0x2310: continuous over-current at the output (register 01h), 6 bytes, expected 8",
@@ -123,7 +124,7 @@ def test_an_emergency_of_another_length_is_told_with_its_code(rig):
 
 
 def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([frame(0, 0x081, bytes.fromhex("5082110000000000")), frame(0, 0x082, bytes(8))])
     live.take([frame(0, 0x000, b"\x01\x00"), frame(0, 0x000, b"\x80\x02")])
     live.take([frame(0, 0x581, bytes.fromhex("8041600000000206"))])
@@ -142,7 +143,7 @@ def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
 
 
 def test_segments_of_a_block_transfer_are_no_aborts(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     exchanged = (
         *((0x601, "a40020017f"), (0x581, "c60020010e"), (0x601, "a3"), (0x581, "0161626364656667")),
         *((0x581, "8280002001000000"), (0x601, "8000200104000405")),
@@ -152,7 +153,7 @@ def test_segments_of_a_block_transfer_are_no_aborts(rig):
 
 
 def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([tpdo1(0, 0x0237, 5), frame(0.1, 0x181, b"\1\2"), frame(0.1, 0x555), frame(0.1, 0x80000181, bytes(8))])
     snapshot = live.snapshot(T0 + S)
     assert snapshot.pdos[1].malformed == 1
@@ -162,7 +163,7 @@ def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):
 
 @given(st.lists(st.tuples(st.integers(0, 2**62), st.integers(0, 2**32 - 1), st.integers(0, 8), st.binary(min_size=8, max_size=8))))  # fmt: skip
 def test_no_frame_raises(received):
-    live = Live(load_rig("bench"))
+    live = Live(KnownBus(load_rig("bench")))
     live.take(received)
     live.take([(t_ns, can_id & 0x7FF, length, data) for t_ns, can_id, length, data in received])
     snapshot = live.snapshot(T0)
@@ -171,7 +172,7 @@ def test_no_frame_raises(received):
 
 
 def test_lines(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     live.take([tpdo1(0.9, 0x0237, -819200, 100), frame(0.9, 0x701, b"\x05")])
     lines = list(as_lines(live.snapshot(T0 + S), FACTS, T0))
@@ -184,7 +185,7 @@ def test_lines(rig):
 
 def test_nodes_that_the_rig_does_not_have(rig):
     """With their state, how often they send, and what they tell; a PDO alone may be anybody's."""
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     live.take([frame(0.1, 0x705, b"\0"), frame(0.2, 0x085, bytes.fromhex("3081010000000000"))])
     live.take([frame(i / 10, 0x705, b"\5") for i in range(3, 10)] + [frame(0.95, 0x185, bytes(8)), frame(0.95, 0x186)])
@@ -211,7 +212,7 @@ def shown(snapshot, width, height, events=(), all_nodes=True):
 
 
 def busy(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     for i in range(999):
         live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
@@ -253,7 +254,7 @@ def test_columns_go_by_their_importance(rig):
 
 
 def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     assert "none of the rig's nodes was heard" in "".join(shown(live.snapshot(T0), 80, 24, all_nodes=False))
     live.take([frame(0.1, 0x705, b"\5")])
@@ -268,7 +269,7 @@ def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
 
 
 def test_periods_load_and_bits_of_words(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.snapshot(T0)
     for t_s in (0.0, 0.001, 0.0035, 0.0040):
         live.take([tpdo1(t_s, 0x1237)])
@@ -289,7 +290,7 @@ def test_bits_of_a_frame_are_those_of_the_worst_stuffing():
 
 
 def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     for t_s in (0.1, 0.2):
         live.take([frame(t_s, 0x181, b"\1\2"), frame(t_s, 0x381, bytes(8))])
     events = live.snapshot(T0 + S).events
@@ -300,7 +301,7 @@ def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):
 
 
 def test_lss_in_words(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take(
         [frame(0.1, 0x7E5, bytes.fromhex("1107000000000000")), frame(0.2, 0x7E4, bytes.fromhex("1101000000000000"))]
     )
@@ -317,7 +318,7 @@ def screen_lines(live, width, **facts):
 
 
 def test_bytes_that_changed_since_the_last_look_stand_out(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([tpdo1(0.1, 0x0237, 5)])
     live.snapshot(T0)
     live.take([tpdo1(0.2, 0x0237, 6)])
@@ -332,7 +333,7 @@ def test_bytes_that_changed_since_the_last_look_stand_out(rig):
 
 
 def test_a_held_picture_says_so_and_the_host_is_told(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     host = HostLine("host: mode hybrid")
     lines = [line.plain for line in screen_lines(live, 80, paused=True, frames=12, host=host)]
     assert any(line.startswith("PAUSED") and "12 frames" in line for line in lines)
@@ -344,7 +345,7 @@ def test_a_held_picture_says_so_and_the_host_is_told(rig):
 
 
 def test_bits_of_words_have_lines_of_their_own_where_no_column_is_wide_enough(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([tpdo1(0.1, 0x1237)])
     lines = [line.plain for line in screen_lines(live, 80, words=True)]
     assert "motor.statusword 0x1237: operation enabled; remote, mode 12" in lines
@@ -361,7 +362,7 @@ def test_the_keys_of_a_view():
 
 
 def test_the_table_of_a_pdo_is_filled_with_what_came(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([tpdo1(0.9, 0x0237, -819200)])
     now = {row.can_id: row for row in live.snapshot(T0 + S).pdos}
     pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
@@ -413,7 +414,7 @@ def test_a_block_is_as_its_frames_one_by_one(seed, monkeypatch):
     ]
     ids += [0x555, 0x80000181, 0x40000181, 0x20000044, 0x20000001]
     lengths = {0x80: 0, 0x181: 8, 0x182: 6, 0x201: 4, 0x202: 2, 0x701: 1, 0x702: 1, 0x77F: 1, 0x705: 1}
-    by_frames, many = (Live(load_rig("bench")) for _ in range(2))
+    by_frames, many = (Live(KnownBus(load_rig("bench"))) for _ in range(2))
     t_ns = T0
     for n in (0, 1, 3, 200, 40, 500):
         received = []

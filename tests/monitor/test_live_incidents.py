@@ -10,6 +10,7 @@ from coulombus.monitor.live import Live
 from coulombus.monitor.live_incidents import IncidentReader, LiveIncidents
 from coulombus.monitor.screen import Screen, as_dict, as_lines
 from coulombus.monitor.watch import ViewKeys
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame_batches import Block
 
@@ -35,7 +36,7 @@ def emergency(t_s):
 
 def followed(*batches):
     """What is known after each batch, which is (frames, time of the look [s])."""
-    incidents = LiveIncidents(RIG)
+    incidents = LiveIncidents(KnownBus(RIG))
     looks = []
     for frames, t_s in batches:
         incidents.take(Block.of(frames))
@@ -98,7 +99,7 @@ def test_a_host_that_vanishes_is_an_incident():
 
 
 def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
-    reader = IncidentReader(RIG)
+    reader = IncidentReader(KnownBus(RIG))
     reader.take([*beats(0, 1, 1, 2), emergency(1)])
     reader.look(T0 + 2 * S)
     (row,) = reader.rows
@@ -116,7 +117,7 @@ def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
 
 
 def shown(rows, opened="", height=50, width=100):
-    live = Live(RIG)
+    live = Live(KnownBus(RIG))
     live.take([frame(0.1, 0x080)])
     console = Console(file=io.StringIO(), width=width, height=height, color_system=None, force_terminal=True)
     facts = {**FACTS, "keys": "q end"}
@@ -125,7 +126,10 @@ def shown(rows, opened="", height=50, width=100):
 
 
 def test_the_end_of_the_search_is_told():
-    snapshot, ended = Live(RIG).snapshot(T0 + S), FACTS | {"incidents_end": "the search for incidents has ended: why"}
+    snapshot, ended = (
+        Live(KnownBus(RIG)).snapshot(T0 + S),
+        FACTS | {"incidents_end": "the search for incidents has ended: why"},
+    )
     assert any("! the search for incidents has ended: why" in line for line in as_lines(snapshot, ended, T0))
     assert as_dict(snapshot, ended, T0)["incidents_end"] == "the search for incidents has ended: why"
     assert not any("search" in line for line in as_lines(snapshot, FACTS, T0))
@@ -181,7 +185,7 @@ def test_lines_tell_a_change_once_and_json_has_all():
     assert list(news(second, known, T0)) == []
     (line,) = news(third, known, T0)
     assert "* incident 1, recovered" in line
-    live = Live(RIG)
+    live = Live(KnownBus(RIG))
     (entry,) = as_dict(live.snapshot(T0), FACTS, T0, third)["incidents"]
     assert entry == incident_dict(third[0], T0)
     assert (entry["status"], entry["t_s"], entry["end_s"], len(entry["check"])) == ("recovered", 1.0, 3.5, 3)

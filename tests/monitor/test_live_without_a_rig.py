@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
-from coulombus.monitor.learned_pdos import LearnedPdos
 from coulombus.monitor.live import Live
 from coulombus.monitor.screen import as_dict, as_lines
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import load_rig
 
 S = 1_000_000_000
@@ -35,7 +35,7 @@ def mapped(node, t_s, index, *words):
 
 
 def test_pdos_are_learned_and_the_others_are_raw():
-    live = Live(None)
+    live = Live(KnownBus())
     live.snapshot(T0)
     live.take([frame(0, 0x705, b"\0"), *mapped(5, 0.01, 0x1A00, *MAP), frame(0.02, 0x705, b"\5")])
     live.take([frame(0.1, 0x185, struct.pack("<Hi", 0x0237, -7)), frame(0.11, 0x309, b"\1\2\3")])
@@ -55,7 +55,7 @@ def test_pdos_are_learned_and_the_others_are_raw():
 
 
 def test_a_length_that_does_not_fit_a_map_is_counted_and_an_assumed_map_is_left():
-    live = Live(None)
+    live = Live(KnownBus())
     kind = frame(0, 0x585, bytes.fromhex("4300100092010000"))
     live.take([kind, *mapped(6, 0.01, 0x1A00, *MAP), frame(0.1, 0x185, b"\x37\2"), frame(0.1, 0x186, bytes(5))])
     snapshot = live.snapshot(T0 + S)
@@ -79,7 +79,7 @@ def test_a_length_that_does_not_fit_a_map_is_counted_and_an_assumed_map_is_left(
     ],
 )
 def test_an_assumed_rig_is_left_when_the_bus_is_another_ones(rig, frames):
-    live = Live(rig, LearnedPdos())
+    live = Live(KnownBus(rig), assumed=True)
     live.take([*mapped(5, 0.01, 0x1A00, *MAP), *frames, frame(0.2, 0x185, struct.pack("<Hi", 0x0237, 9))])
     snapshot = live.snapshot(T0 + S)
     assert any("this is not rig bench" in event.text for event in snapshot.events)
@@ -91,7 +91,7 @@ def test_an_assumed_rig_is_left_when_the_bus_is_another_ones(rig, frames):
 
 
 def test_a_node_that_only_sends_pdos_is_listed_when_the_rig_is_left(rig):
-    live = Live(rig, LearnedPdos())
+    live = Live(KnownBus(rig), assumed=True)
     live.take([frame(0.1, 0x181, bytes(3)), frame(0.2, 0x189, bytes(4))])
     assert {node.name for node in live.snapshot(T0 + S).nodes} == {"1", "9"}
 
@@ -105,14 +105,14 @@ def test_a_node_that_only_sends_pdos_is_listed_when_the_rig_is_left(rig):
     ],
 )
 def test_an_assumed_rig_stays_where_its_nodes_are(rig, frames):
-    live = Live(rig, LearnedPdos())
+    live = Live(KnownBus(rig), assumed=True)
     live.take([frame(0, 0x701, b"\5"), frame(0.05, 0x181, struct.pack("<Hih", 0x0237, 0, 0)), *frames])
     live.snapshot(T0 + S)
     assert live.rig is rig
 
 
 def test_a_rig_that_was_named_stays(rig):
-    live = Live(rig)
+    live = Live(KnownBus(rig))
     live.take([frame(0.1, 0x705, b"\5"), frame(0.1, 0x181, bytes(3))])
     live.snapshot(T0 + S)
     assert live.rig is rig

@@ -13,7 +13,6 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.monitor.pdo_text import as_lines as pdo_lines
 from coulombus.monitor.timing import Spread, Stamps, Timing, as_lines, listen, recorded_bare, timing
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
@@ -36,7 +35,7 @@ def stamped():
 
 
 def test_rate_jitter_and_delay():
-    sync, motor = timing(KnownBus.of_rig(load_rig("bench")), stamped())
+    sync, motor = timing(KnownBus(load_rig("bench")), stamped())
     assert (sync.can_id, sync.name, sync.frames, sync.from_sync) == (0x080, "SYNC", 1000, None)
     assert sync.rate_per_s == pytest.approx(1000)
     assert sync.jitter.max_us == 0
@@ -49,7 +48,7 @@ def test_rate_jitter_and_delay():
 def test_what_needs_two_frames_is_none_of_one():
     stamps = Stamps()
     stamps.take([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
-    motor, beat = timing(KnownBus.of_rig(load_rig("bench")), stamps)
+    motor, beat = timing(KnownBus(load_rig("bench")), stamps)
     assert (beat.name, beat.rate_per_s, beat.period_ms, beat.jitter) == ("motor heartbeat", None, None, None)
     assert motor.from_sync is None  # it came before any SYNC
     assert "-" in list(as_lines([beat]))[-1]
@@ -59,7 +58,7 @@ def test_names_of_services():
     stamps = Stamps()
     ids = (0x000, 0x080, 0x082, 0x100, 0x185, 0x582, 0x601, 0x77F, 0x7E5)
     stamps.take([(1, can_id, 0, b"") for can_id in ids])
-    names = [row.name for row in timing(KnownBus.of_rig(load_rig("bench")), stamps)]
+    names = [row.name for row in timing(KnownBus(load_rig("bench")), stamps)]
     assert names == [
         "NMT", "SYNC", "brake EMCY", "TIME", "-", "brake SDO tx", "motor SDO rx", "host heartbeat", "LSS_RX",
     ]  # fmt: skip
@@ -91,7 +90,7 @@ def test_no_line_is_wider_than_80_columns(rig):
     ids = [0x080, *(pdo.layout.cob_id for pdo in rig.pdos()), *(0x700 + node.node_id for node in rig.nodes)]
     random = np.random.default_rng(3)
     stamps.take([(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))])
-    lines = [*as_lines(timing(KnownBus.of_rig(rig), stamps)), *(line for pdo in rig.pdos() for line in pdo_lines(pdo))]
+    lines = [*as_lines(timing(KnownBus(rig), stamps)), *(line for pdo in rig.pdos() for line in pdo_lines(pdo))]
     assert max(map(len, lines)) <= 80
 
 
@@ -146,7 +145,7 @@ def test_remote_frames_are_counted_beside_the_data_frames(tmp_path):
     ]
     path.write_text("".join(rows) + "(2.5) can0 181#R8\n")
     counted = {
-        (row.can_id, row.remote): (row.name, row.frames) for row in timing(*recorded_bare(path, None, EdsFiles(), []))
+        (row.can_id, row.remote): (row.name, row.frames) for row in timing(*recorded_bare(path, None, KnownBus(), []))
     }
     assert counted == {
         (0x181, True): ("1 TPDO1 RTR", 1),

@@ -15,6 +15,7 @@ from coulombus.monitor.live import Live
 from coulombus.monitor.screen import Screen
 from coulombus.monitor.traces import Traces
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.signals import UnknownSignal
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame_batches import Block
@@ -88,7 +89,7 @@ def test_a_signal_that_is_none_is_told() -> None:
 @pytest.mark.parametrize("width", [40, 80, 120])
 def test_the_picture_fits_the_window(width: int, height: int) -> None:
     rig = load_rig("bench")
-    live, traces = Live(rig), Traces(rig, [NAME, "brake.handle_torque_Nm"])
+    live, traces = Live(KnownBus(rig)), Traces(rig, [NAME, "brake.handle_torque_Nm"])
     live.snapshot(NOW - 10**9)
     came = frames(list(range(500)), BIN_NS)
     live.take(came)

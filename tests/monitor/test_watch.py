@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from coulombus.monitor.watch import watch
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address
 from tiny_bus import tiny_bus
@@ -120,7 +121,7 @@ def test_table_in_a_terminal():
     console = Console(file=screen, force_terminal=True, width=120, height=50, color_system=None)
     with tiny_bus() as bus, Traffic(bus):
         bus.lost = 3
-        watch(load_rig("bench"), BENCH, seconds=0.5, console=console)
+        watch(KnownBus(load_rig("bench")), BENCH, seconds=0.5, console=console)
     last = screen.getvalue().split("coulombus:bench")[-1]
     assert "operation enabled" in last
     assert "position_rad" in last

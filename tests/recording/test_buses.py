@@ -17,7 +17,7 @@ from coulombus.monitor.decode import bare_rows
 from coulombus.recording.bus_match import ChannelError
 from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
-from coulombus.recording.maps.eds_files import EdsFiles
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
@@ -288,4 +288,4 @@ def test_all_buses_of_a_log_have_one_time_zero(tmp_path):
     )
     told = explain(path, channel="can1")
     assert told.at_s(told.end_ns) == 5.5
-    assert [row["t_s"] for row in bare_rows(path, "can1", EdsFiles(), [])] == [5.0, 5.5]
+    assert [row["t_s"] for row in bare_rows(path, "can1", KnownBus(), [])] == [5.0, 5.5]

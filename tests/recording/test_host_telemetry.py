@@ -182,7 +182,7 @@ def test_the_bus_own_recording_has_no_second_interface(tmp_path):
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 def test_the_dissector_has_the_numbers_of_read(simulated, tmp_path):
     rig = load_rig("bench")
-    (tmp_path / "bench.lua").write_text(tool_files(KnownBus.of_rig(rig))["bench.lua"])
+    (tmp_path / "bench.lua").write_text(tool_files(KnownBus(rig))["bench.lua"])
     keys = ["host.phase", "host.gain", "host.law_brake", "host.x_stuck"]
     shown = ["-T", "fields", "-E", "separator=,", *(word for key in keys for word in ("-e", f"coulombus.{key}"))]
     command = ["tshark", "-X", f"lua_script:{tmp_path / 'bench.lua'}", "-r", os.fspath(simulated)]

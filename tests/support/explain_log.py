@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from coulombus.explain.explained import Explainer
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.wire.can_flags import CAN_ERR_FLAG
 from coulombus.wire.data_word import data_word
 from coulombus.wire.frame import Frame, new_records
@@ -71,7 +72,7 @@ class Log:
 
     def explained(self, comments=(), pieces=1, inside=None, **knowledge):
         """Return the explanation, of the whole or of so many pieces one after the other."""
-        explainer = Explainer(**knowledge)
+        explainer = Explainer(KnownBus(**knowledge))
         cuts = np.linspace(0, len(self.rows), pieces + 1).astype(int)
         for start, end in pairwise(cuts):
             remarks = [(row - start, text) for row, text in comments if start <= row < end]

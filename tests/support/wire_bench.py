@@ -8,7 +8,7 @@ from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, receiv
 from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.faults import plan_alarm
-from coulombus.sim_bus.can_bus.frame_result import MOST_ROWS, end_attempt
+from coulombus.sim_bus.can_bus.frame_result import end_attempt
 from coulombus.sim_bus.can_bus.records import ALL
 from coulombus.sim_bus.can_bus.stations import attach, refresh
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
@@ -33,7 +33,7 @@ class WireBench:
         self.bus = self.array[0]
         self.out = new_queue()
         self.stations = tuple(stations)
-        self.log = frames(MOST_ROWS)
+        self.log = frames(1)
         self.now = 0
         for station in stations:
             attach(self.bus, station)
@@ -76,7 +76,7 @@ class WireBench:
                 if t > until_ns:
                     break
                 self.now = t
-                for row in self.log[: self._end()]:
+                for row in self._ended():
                     out.append(Row(int(row.t_ns), int(row.can_id), data_bytes(row.word, row.length), int(row.source)))
                 if bus.delivered != Delivered.NOBODY:
                     out[-1].receivers = tuple(s for s in self.stations if receives(bus, s))
@@ -89,12 +89,12 @@ class WireBench:
                     attempt(bus, self.out, t)
         return out
 
-    def _end(self):
-        """End what is on the wire; return how many rows of the log were written."""
+    def _ended(self):
+        """End what is on the wire; return the rows of the log."""
         if self.bus.stage != Stage.FRAME:
-            return end_attempt(self.bus, self.out, self.log, 0)
+            return self.bus.report[: end_attempt(self.bus, self.out)]
         end_frame(self.bus, self.log, 0)
-        return 1
+        return self.log
 
 
 def carried(rows):

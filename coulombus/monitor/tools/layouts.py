@@ -11,7 +11,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 from coulombus.eds.cia402 import word_fields
-from coulombus.monitor.names import signals
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.system.quoting import xml
@@ -24,7 +23,7 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf")
 def _by_unit(bus: KnownBus) -> dict[str, list[tuple[RigPdo, Signal]]]:
     """Return the plotted signals by unit; bit fields follow the quantities."""
     groups: dict[str, list[tuple[RigPdo, Signal]]] = {}
-    for pdo, signal in sorted(signals(bus.pdos), key=lambda pair: bool(word_fields(pair[1].index))):
+    for pdo, signal in sorted(bus.signals(), key=lambda pair: bool(word_fields(pair[1].index))):
         groups.setdefault(signal.unit, []).append((pdo, signal))
     return groups
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from coulombus.monitor.dbc import database
-from coulombus.monitor.names import plain, signals
 from coulombus.monitor.tools.layouts import foxglove, plotjuggler
 from coulombus.monitor.tools.wireshark import dissector, profile
 from coulombus.recording.maps.known_bus import KnownBus
@@ -71,7 +70,7 @@ OF_EDS = {"title": "Devices of EDS files", "source": "the EDS files", "units": "
 def tool_files(bus: KnownBus) -> dict[str, str]:
     """Return the text of each file by its path within the folder."""
     split = database(bus, bits=True)
-    filters = [f"coulombus.{plain(signal)}" for _, signal in signals(bus.pdos)]
+    filters = [f"coulombus.{signal.plain_name}" for _, signal in bus.signals()]
     example = next((text for text in filters if text.endswith("motor.position")), (filters or ["coulombus.node"])[0])
     name = default_address(bus.name).name  # valid as a file's name on any system and in the commands of README.md
     files = {

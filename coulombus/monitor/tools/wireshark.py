@@ -12,7 +12,6 @@ from pathlib import Path
 
 from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
 from coulombus.eds.cia402 import word_fields
-from coulombus.monitor.names import fields, plain, signals
 from coulombus.monitor.services import STATES
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.signals import RigPdo
@@ -77,10 +76,10 @@ def dissector(bus: KnownBus) -> str:
 def _pdo(pdo: RigPdo, name: str) -> str:
     head = f"node = {lua(pdo.node)}, pdo = {lua(name)}, length = {pdo.layout.length}"
     rows = []
-    for signal, entry, start in fields(pdo):
+    for signal, entry, start in pdo.fields():
         words = {
-            "key": lua(plain(signal)),
-            "label": lua(plain(signal).rpartition(".")[2]),
+            "key": lua(signal.plain_name),
+            "label": lua(signal.plain_name.rpartition(".")[2]),
             "unit": lua(signal.unit),
             "object": lua(f"{entry.index:04X}h:{entry.subindex}" if entry.index else "no object"),
             "start": str(start),
@@ -133,7 +132,7 @@ def profile(bus: KnownBus) -> dict[str, str]:
 
 
 def _graphs(bus: KnownBus) -> list[tuple[str, str]]:
-    quantities = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(bus.pdos) if not word_fields(s.index)]
+    quantities = [(s.name, f"coulombus.{s.plain_name}") for _, s in bus.signals() if not word_fields(s.index)]
     return [*quantities, ("time since SYNC [s]", "coulombus.sync_delay")]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from coulombus.monitor.live import Live
 from coulombus.monitor.snapshot import Event, Snapshot
 from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -116,7 +117,7 @@ class LiveCapture:
     """
 
     def __init__(self, rig: Rig) -> None:
-        self.rig, self.live = rig, Live(rig)
+        self.rig, self.live = rig, Live(KnownBus(rig))
         period_ns = rig.bus.period_ns
         self._capacity = max(64, 2 * FADE_NS // period_ns)
         self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}

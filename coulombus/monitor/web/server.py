@@ -25,6 +25,7 @@ from coulombus.monitor.web.last_page import LastPage
 from coulombus.monitor.web.page import Page, application
 from coulombus.monitor.web.page_state import FaultDoor, HostDoor
 from coulombus.monitor.web.reader import CurveReader, FaultReader, HostReader
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import Rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.adapter import open_bus
@@ -167,7 +168,7 @@ async def _serve(
         loop.add_reader(parent, lambda: None if os.read(parent, 64) else over.set())
     if seconds is not None:
         loop.call_later(seconds, over.set)
-    incidents = IncidentReader(shown.rig)
+    incidents = IncidentReader(KnownBus(shown.rig))
     client = await _client(shown.address, patient=parent is not None, over=over)
     if client is None:
         return

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.recording.bus_match import BusMatch, Channel, channel_texts
 from coulombus.recording.export.arrow import ParquetWriter
 from coulombus.recording.export.errors import ExportError
@@ -23,7 +24,6 @@ from coulombus.recording.export.matlab import MatWriter
 from coulombus.recording.export.mcap import McapWriter
 from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.output_file import new_file
 from coulombus.recording.reading import blocks, captures
 from coulombus.recording.remarks import remarks_on

@@ -1,22 +1,24 @@
 """What is known of a bus before its frames: names, PDOs and services, by a rig or by EDS files.
 
-`recording.maps.log_maps` learns the same from a log. docs/explain.md has the order of the sources.
+It never changes, so that several readers of frames can have it; each learns from its frames itself
+(`recording.maps.log_maps`, `explain.bus`). docs/explain.md has the order of the sources.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.description import Description
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.eds.pdo import COMMUNICATION, PDO_COUNT, PdoLayout, read_layout, unreadable
 from coulombus.recording.host_telemetry import inside_pdos
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.maps.seen_maps import Objects
 from coulombus.rigs.rig import Rig
-from coulombus.rigs.signals import RigPdo
+from coulombus.rigs.signals import RigPdo, Signal
 
 __all__ = ["KnownBus", "KnownNode"]
 
@@ -36,51 +38,17 @@ class KnownNode:
 
 @dataclass(frozen=True)
 class KnownBus:
-    """The nodes and PDOs of a bus.
+    """The nodes and PDOs of a bus, for every reader of frames.
 
     Attributes
     ----------
-    host : the node that commands the others; None: unknown
-    period_s : of SYNC; 0: unknown
-    rig, eds : the sources
-    telemetry : PDOs of the host's telemetry, which are on no bus
-    remarks : what of the sources is left out, and why
+    rig, eds : the sources; without a rig, nodes are numbers
+    learned : PDOs that the log or a device has shown; None: those of the EDS files
     """
 
-    name: str
-    nodes: tuple[KnownNode, ...]
-    pdos: tuple[RigPdo, ...]
-    host: KnownNode | None = None
-    period_s: float = 0.0
     rig: Rig | None = None
     eds: EdsFiles = field(default_factory=EdsFiles)
-    telemetry: tuple[RigPdo, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-    @classmethod
-    def of_rig(cls, rig: Rig) -> KnownBus:
-        """Return what a rig file tells."""
-        return cls(
-            rig.name,
-            tuple(KnownNode(node.name, node.node_id, node.emcy_id, node.part.heartbeat_s) for node in rig.nodes),
-            rig.pdos(),
-            KnownNode("host", rig.host.node_id, 0, rig.host.heartbeat_s),
-            rig.bus.period_s,
-            rig,
-            telemetry=inside_pdos(rig, NO_STATE),
-        )
-
-    @classmethod
-    def of_eds(cls, files: EdsFiles) -> KnownBus:
-        """Return what EDS files tell; of a folder those DCF and XDC files that have a node id."""
-        own = {file.node_id: file for file in reversed(files.candidates) if file.node_id}
-        of_nodes = dict(sorted((own | files.of_nodes).items()))
-        maps = LogMaps(EdsFiles(of_nodes))
-        maps.learn()
-        pdos = maps.pdos()
-        nodes = tuple(_node(number, file) for number, file in of_nodes.items())
-        remarks = tuple(text for number, file in of_nodes.items() for text in _left_out(number, file, pdos))
-        return cls("_".join(f"node{number}" for number in list(of_nodes)[:4]), nodes, pdos, eds=files, remarks=remarks)
+    learned: tuple[RigPdo, ...] | None = None
 
     @classmethod
     def of_device(cls, number: int, objects: Objects, files: EdsFiles) -> KnownBus:
@@ -88,14 +56,68 @@ class KnownBus:
         maps = LogMaps(files)
         maps.hold(number, objects)
         maps.learn()
-        pdos = tuple(pdo for pdo in maps.pdos() if pdo.node_id == number)
-        return cls(f"node{number}", (KnownNode(str(number), number),), pdos, eds=files)
+        return cls(eds=files, learned=tuple(pdo for pdo in maps.pdos() if pdo.node_id == number))
 
     @property
-    def names(self) -> Mapping[int, str]:
+    def name(self) -> str:
+        """The rig's name, else a word for files."""
+        return "_".join(f"node{number}" for number in list(self._files)[:4]) if self.rig is None else self.rig.name
+
+    @cached_property
+    def nodes(self) -> tuple[KnownNode, ...]:
+        """The nodes of the sources, without the host."""
+        if self.rig is None:
+            return tuple(_node(number, file) for number, file in self._files.items())
+        return tuple(KnownNode(node.name, node.node_id, node.emcy_id, node.part.heartbeat_s) for node in self.rig.nodes)
+
+    @cached_property
+    def host(self) -> KnownNode | None:
+        """The node that commands the others; None: unknown."""
+        return None if self.rig is None else KnownNode("host", self.rig.host.node_id, 0, self.rig.host.heartbeat_s)
+
+    @property
+    def period_s(self) -> float:
+        """Period of SYNC; 0: unknown."""
+        return 0.0 if self.rig is None else self.rig.bus.period_s
+
+    @property
+    def names(self) -> dict[int, str]:
         """Names of the nodes by node id, with the host's."""
-        host = {} if self.host is None else {self.host.node_id: self.host.name}
-        return host | {node.node_id: node.name for node in self.nodes}
+        if self.rig is None:
+            return {number: str(number) for number in self._files}
+        return {self.rig.host.node_id: "host"} | {node.node_id: node.name for node in self.rig.nodes}
+
+    @cached_property
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """The PDOs that are known before its frames."""
+        if self.rig is not None:
+            return self.rig.pdos()
+        if self.learned is not None:
+            return self.learned
+        maps = LogMaps(EdsFiles(self._files))
+        maps.learn()
+        return maps.pdos()
+
+    @property
+    def telemetry(self) -> tuple[RigPdo, ...]:
+        """PDOs of the host's telemetry, which are on no bus."""
+        return () if self.rig is None else inside_pdos(self.rig, NO_STATE)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Texts about PDOs of EDS files that are left out."""
+        files = {} if self.rig is not None else self._files
+        return tuple(text for number, file in files.items() for text in _left_out(number, file, self.pdos))
+
+    def signals(self) -> Iterator[tuple[RigPdo, Signal]]:
+        """Yield every signal with its PDO."""
+        return ((pdo, signal) for pdo in self.pdos for signal, _, _ in pdo.fields())
+
+    @property
+    def _files(self) -> dict[int, Description]:
+        """EDS files by node id; of a folder those DCF and XDC files that have one."""
+        with_id = {file.node_id: file for file in reversed(self.eds.candidates) if file.node_id}
+        return dict(sorted((with_id | self.eds.of_nodes).items()))
 
 
 def _node(number: int, file: Description) -> KnownNode:
@@ -118,10 +140,10 @@ def _left_out(number: int, file: Description, pdos: tuple[RigPdo, ...]) -> Itera
         counted = by_id.get(layout.cob_id)
         if counted is None or not layout.entries:
             continue
-        own, other = f"{layout.direction.upper()}{layout.number}", f"{counted.node}.{counted.name}"
-        if f"{number}.{own}" != other:
-            reason = f"its identifier {layout.cob_id:03X}h is that of {other}, too"
-            yield f"{file.path}: {number}.{own} is left out: {reason}"
+        name, owner = f"{number}.{layout.direction.upper()}{layout.number}", f"{counted.node}.{counted.name}"
+        if name != owner:
+            reason = f"its identifier {layout.cob_id:03X}h is that of {owner}, too"
+            yield f"{file.path}: {name} is left out: {reason}"
 
 
 def _layouts(file: Description, number: int, refused: Mapping[int, str]) -> Iterator[PdoLayout]:

@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds import sdo_forms as forms
-from coulombus.eds.cia301 import DUMMY_TYPES, CobId
+from coulombus.eds.cia301 import DUMMY_TYPES, PDO_NAMES, CobId
 from coulombus.eds.description import Description
+from coulombus.eds.eds_folder import EdsFiles
+from coulombus.eds.own_devices import told_identity
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, Objects, identified, maps_of
+from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
@@ -36,8 +37,6 @@ SIGNED_402 = frozenset(
     }
 )
 """Signed objects of CiA 402, by their distance from 6000h (each axis 800h further)."""
-UNMAPPED = {int(service): service.name for service in CobId if service.name.startswith(("TPDO", "RPDO"))}
-"""Identifiers of the predefined connection set (CiA 301, section 7.3.5), without their node id."""
 
 
 class LogMaps:
@@ -54,8 +53,6 @@ class LogMaps:
         self._descriptions, self._candidates = dict(files.of_nodes), files.candidates
         self._nodes: dict[int, MappedNode] = {}
         self._channels: dict[int, SdoChannel] = defaultdict(lambda: SdoChannel(None))
-        self._asked: dict[int, tuple[tuple[int, int], int]] = {}
-        """Unconfirmed expedited download by node."""
         self._maps: dict[int, Map] = {}
         self._stale = bool(files.of_nodes)
         self._frames = self._row = self._set_at = 0
@@ -65,7 +62,7 @@ class LogMaps:
         self._came: set[int] = set()
 
     def take(self, frames: Records) -> bool:
-        """Learn from frames; return whether a map is new or changed."""
+        """Learn from frames; return whether a map is new or changed, or a PDO comes for the first time."""
         can_id, length = np.ascontiguousarray(frames["can_id"]), np.ascontiguousarray(frames["length"])
         function = can_id & (0x780 | CAN_RTR_FLAG | CAN_EFF_FLAG | CAN_ERR_FLAG)
         boots = (function == HEARTBEAT) & (length == 1) & (frames["word"] == 0)
@@ -77,10 +74,12 @@ class LogMaps:
             elif number:
                 self._transfer(number, data_bytes(int(frames["word"][row]), 8), function[row] == SDO_TX)
         came = {int(key) for key in np.unique(can_id) if key < 0x800}
+        first = came - self._came
         self._came |= came
         self._see({key & 0x7F for key in came if key & 0x780 in (SDO_TX, HEARTBEAT)})
         self._frames += len(frames)
         changed = self.learn()
+        changed |= any(pdo_without_map(key) or self.pdo(key) for key in first)
         return self._misfits(can_id, length) or changed
 
     def _see(self, numbers: set[int]) -> None:
@@ -94,20 +93,11 @@ class LogMaps:
             self._stale = True
 
     def _transfer(self, number: int, data: bytes, from_server: bool) -> None:
-        says = self._channels[number].row(data, from_server)
-        phase, value = says.get("phase"), says.get("value")
-        at = (says.get("index", 0), says.get("subindex", 0))
-        if not from_server:
-            self._asked.pop(number, None)
-            if phase == forms.DOWNLOAD_INITIATE.phase and isinstance(value, int):
-                self._asked[number] = (at, value)
-        elif phase == forms.DOWNLOAD_INITIATED.phase:
-            asked, value = self._asked.pop(number, (None, 0))
-            if asked == at:
-                self._set(number, at, value)
-        elif phase == forms.UPLOAD_INITIATED.phase and self._channels[number].transfer is None:
-            size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-            self._set(number, at, int.from_bytes(data[4 : 4 + size], "little"))
+        channel = self._channels[number]
+        channel.row(data, from_server)
+        transfer = channel.completed
+        if transfer is not None and transfer.kind == "expedited" and transfer.place is not None:
+            self._set(number, transfer.place, int.from_bytes(transfer.joined.content, "little"))
 
     def _set(self, number: int, at: tuple[int, int], value: int) -> None:
         self._see({number})
@@ -129,8 +119,8 @@ class LogMaps:
             return False
         self._stale = False
         self._descriptions |= identified(self._nodes, self._descriptions, self._candidates)
-        known = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
-        maps = maps_of(known, self._descriptions, {})
+        nodes = {n: MappedNode(n) for n in self._descriptions if n not in self._nodes} | self._nodes
+        maps = maps_of(nodes, self._descriptions, {})
         changed = False
         for can_id, new in maps.items():
             old = self._maps.get(can_id)
@@ -144,11 +134,11 @@ class LogMaps:
     def _misfits(self, can_id: Integers, length: Integers) -> bool:
         """Remove assumed maps that frames contradict; return whether any was removed."""
         misfits = [
-            known.can_id
-            for known in self._maps.values()
-            if known.source == "assumed"
-            and known.can_id not in self._misfit
-            and (length[can_id == known.can_id] != known.length).any()
+            pdo_map.can_id
+            for pdo_map in self._maps.values()
+            if pdo_map.source == "assumed"
+            and pdo_map.can_id not in self._misfit
+            and (length[can_id == pdo_map.can_id] != pdo_map.length).any()
         ]
         self._misfit.update(misfits)
         return bool(misfits)
@@ -169,20 +159,36 @@ class LogMaps:
         """Return every PDO with a known map, in the order of the identifiers (see `rig_pdo`);
         assumed maps only if PDOs were received and fit.
         """
-        maps = [known for _, known in sorted(self._maps.items()) if known.fields]
-        fits = (known for known in maps if known.source != "assumed" or known.can_id in self._came - self._misfit)
-        return tuple(self.rig_pdo(known) for known in fits)
+        maps = [pdo_map for _, pdo_map in sorted(self._maps.items()) if pdo_map.fields]
+        fits = (
+            pdo_map for pdo_map in maps if pdo_map.source != "assumed" or pdo_map.can_id in self._came - self._misfit
+        )
+        return tuple(self.rig_pdo(pdo_map) for pdo_map in fits)
 
-    def rig_pdo(self, known: Map) -> RigPdo:
+    def received_pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that came, in the order of their identifiers; a PDO without a map has no signals."""
+        mapped = {pdo.layout.cob_id: pdo for pdo in self.pdos()}
+        pdos = (mapped.get(can_id) or pdo_without_map(can_id) for can_id in sorted(self._came))
+        return tuple(pdo for pdo in pdos if pdo is not None)
+
+    def other_devices(self, rig: Rig) -> bool:
+        """Return whether a node of the bus is another device than the rig's (1018h)."""
+        for node in rig.nodes:
+            of_bus, of_rig = self.identity(node.node_id), told_identity(node.description)
+            if any(seen not in (0, expected) for seen, expected in zip(of_bus, of_rig, strict=True) if expected):
+                return True
+        return False
+
+    def rig_pdo(self, pdo_map: Map) -> RigPdo:
         """Return a PDO as in a rig: the node is a number, a signal is named by its PDO and object,
         ``"5.TPDO1.6064h:00"``, and its values are raw.
         """
-        description = self._descriptions.get(known.node)
-        node = self._nodes.get(known.node)
+        description = self._descriptions.get(pdo_map.node)
+        node = self._nodes.get(pdo_map.node)
         profile = 0 if node is None else node.device_type & 0xFFFF
-        entries = tuple(_entry(field, description, profile) for field in known.fields if field.bits)
+        entries = tuple(_entry(field, description, profile) for field in pdo_map.fields if field.bits)
         whole = sum(entry.bits for entry in entries) <= PDO_BITS  # a map of more was never accepted
-        return _pdo(known.node, known.direction, known.number, known.can_id, entries if whole else ())
+        return _pdo(pdo_map.node, pdo_map.direction, pdo_map.number, pdo_map.can_id, entries if whole else ())
 
 
 def _pdo(node: int, direction: str, number: int, can_id: int, entries: tuple[Entry, ...]) -> RigPdo:
@@ -228,7 +234,7 @@ def _entry(field: Field, description: Description | None, profile: int) -> Entry
 
 def pdo_without_map(can_id: int) -> RigPdo | None:
     """Return the PDO of an identifier in the predefined connection set, without signals, or None."""
-    name, node = UNMAPPED.get(can_id & ~0x7F, ""), can_id & 0x7F
+    name, node = PDO_NAMES.get(can_id & ~0x7F, ""), can_id & 0x7F
     if not name or not node:
         return None
     return _pdo(node, name[:4].lower(), int(name[4:]), can_id, ())

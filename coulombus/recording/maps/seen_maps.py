@@ -116,13 +116,13 @@ class Map:
 
 
 def identified(
-    nodes: Mapping[int, MappedNode], known: Mapping[int, Description], candidates: tuple[Description, ...]
+    nodes: Mapping[int, MappedNode], descriptions: Mapping[int, Description], candidates: tuple[Description, ...]
 ) -> dict[int, Description]:
     """Return the candidate of each node that has no EDS file yet and whose identity (1018h) one fits."""
     fits = {
         node.number: fitting(candidates, node.identity, node.revision)
         for node in nodes.values()
-        if node.number not in known and any(node.identity)
+        if node.number not in descriptions and any(node.identity)
     }
     return {number: description for number, description in fits.items() if description is not None}
 
@@ -130,13 +130,12 @@ def identified(
 def maps_of_rig(rig: Rig) -> dict[int, Map]:
     """Return the maps of a rig by identifier."""
     maps = {}
-    numbers = {node.name: node.node_id for node in rig.nodes}
     for pdo in rig.pdos():
         layout = pdo.layout
         fields = _fields_of(layout)
         maps[layout.cob_id] = Map(
             layout.cob_id,
-            numbers[pdo.node],
+            pdo.node_id,
             layout.direction,
             layout.number,
             fields,
@@ -161,14 +160,14 @@ def maps_of(
         node, description = nodes[number], descriptions.get(number)
         for direction in ("rpdo", "tpdo"):
             for pdo in _numbers(node, description, direction):
-                known = _map(node, description, direction, pdo)
-                if known is None:
+                pdo_map = _map(node, description, direction, pdo)
+                if pdo_map is None:
                     continue
-                if known.source != "assumed":
-                    for can_id in [c for c, m in maps.items() if _same(m, known) and c != known.can_id]:
+                if pdo_map.source != "assumed":
+                    for can_id in [c for c, m in maps.items() if _same(m, pdo_map) and c != pdo_map.can_id]:
                         del maps[can_id]
-                if known.can_id > 0 and (known.can_id not in maps or _rank(known) > _rank(maps[known.can_id])):
-                    maps[known.can_id] = known
+                if pdo_map.can_id > 0 and (pdo_map.can_id not in maps or _rank(pdo_map) > _rank(maps[pdo_map.can_id])):
+                    maps[pdo_map.can_id] = pdo_map
     return maps
 
 
@@ -185,12 +184,12 @@ def _numbers(node: MappedNode, description: Description | None, direction: str) 
     return sorted({*range(1, PDOS + 1), *described, *seen})
 
 
-def _rank(known: Map) -> tuple[bool, int, bool]:
-    return bool(known.fields), RANKS.index(known.source), known.direction == "tpdo"
+def _rank(pdo_map: Map) -> tuple[bool, int, bool]:
+    return bool(pdo_map.fields), RANKS.index(pdo_map.source), pdo_map.direction == "tpdo"
 
 
-def _same(one: Map, other: Map) -> bool:
-    return (one.node, one.direction, one.number) == (other.node, other.direction, other.number)
+def _same(first: Map, second: Map) -> bool:
+    return (first.node, first.direction, first.number) == (second.node, second.direction, second.number)
 
 
 def _map(node: MappedNode, description: Description | None, direction: str, number: int) -> Map | None:

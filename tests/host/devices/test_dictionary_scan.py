@@ -6,12 +6,12 @@ import pytest
 
 from coulombus.eds.cia301 import DATA_TYPES, CobId
 from coulombus.eds.convert import eds_text_of
+from coulombus.eds.eds_folder import EdsFiles
 from coulombus.eds.pdo import layouts
 from coulombus.eds.reader import parse_eds
 from coulombus.host.devices.dictionary_scan import DictionaryScan, pdo_objects
 from coulombus.host.errors import NodeMissing
 from coulombus.host.sdo.sdo_client import SdoClient
-from coulombus.recording.maps.eds_files import EdsFiles
 from coulombus.recording.maps.known_bus import KnownBus
 from devices_bench import DevicesLink, eds
 

@@ -20,7 +20,6 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
-from coulombus.monitor.names import fields, identifier, plain, signals
 from coulombus.monitor.tools.tool_files import tool_files
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.mf4_log import ready
@@ -46,7 +45,7 @@ def rig(request):
 
 @pytest.fixture
 def folder(rig, tmp_path):
-    for name, text in tool_files(KnownBus.of_rig(rig)).items():
+    for name, text in tool_files(KnownBus(rig)).items():
         path = tmp_path / "tools" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
@@ -63,7 +62,7 @@ def recording(rig, tmp_path):
     for i in range(FRAMES):
         for pdo in rig.pdos():
             word = 0
-            for _, entry, start in fields(pdo):
+            for _, entry, start in pdo.fields():
                 raw = int(random.integers(1, 1 << min(entry.bits, 20))) & ((1 << entry.bits) - 1)
                 negative = entry.signed and i % 2
                 raw = -raw & ((1 << entry.bits) - 1) if negative and raw < 1 << entry.bits - 2 else raw
@@ -101,8 +100,8 @@ def test_cantools_decodes_what_read_decodes(rig, folder, recording, form):
             for row in seen.frames
             if row["can_id"] == pdo.layout.cob_id
         ]
-        for signal, entry, start in fields(pdo):
-            name, values = identifier(signal), seen[signal.name].values
+        for signal, entry, start in pdo.fields():
+            name, values = signal.identifier, seen[signal.name].values
             for raw, value in zip(raws, values, strict=True):
                 data = raw[: pdo.layout.length]
                 decoded = split.decode_message(pdo.layout.cob_id, data, decode_choices=False)
@@ -126,7 +125,7 @@ def test_cantools_decodes_what_read_decodes(rig, folder, recording, form):
 
 def test_states_bits_and_emergencies_have_names():
     rig = load_rig("bench")
-    text = tool_files(KnownBus.of_rig(rig))["bench-bits.dbc"]
+    text = tool_files(KnownBus(rig))["bench-bits.dbc"]
     database = cantools.database.load_string(text, "dbc")
     values = database.decode_message("motor_TPDO1", bytes.fromhex("371200000000 0000"))
     assert values["statusword_state"] == "operation enabled"
@@ -140,9 +139,9 @@ def test_states_bits_and_emergencies_have_names():
 def test_canmatrix_reads_the_dbc(rig, folder):
     canmatrix = pytest.importorskip("canmatrix.formats")
     matrix = canmatrix.loadp_flat(str(folder / f"{rig.name}.dbc"))
-    for pdo, signal in signals(rig.pdos()):
+    for pdo, signal in KnownBus(rig).signals():
         frame = next(candidate for candidate in matrix.frames if candidate.arbitration_id.id == pdo.layout.cob_id)
-        field = frame.signal_by_name(identifier(signal))
+        field = frame.signal_by_name(signal.identifier)
         assert (float(field.factor), float(field.offset), field.unit) == (signal.scale, signal.offset, signal.unit)
 
 
@@ -157,9 +156,9 @@ def test_asammdf_with_the_dbc_has_the_numbers_of_read(rig, folder, recording, tm
                 writer(message)
         measurement = asammdf.MDF(path).extract_bus_logging({"CAN": [(str(folder / f"{rig.name}.dbc"), 0)]})
         seen = read(recording, rig)
-        for pdo, signal in signals(rig.pdos()):
+        for pdo, signal in KnownBus(rig).signals():
             message = f"{pdo.node.replace('.', '_')}_{pdo.name}"
-            samples = measurement.get(f"{message}.{identifier(signal)}").samples
+            samples = measurement.get(f"{message}.{signal.identifier}").samples
             np.testing.assert_allclose(samples.astype(float), seen[signal.name].values, rtol=1e-12, atol=1e-12)
 
 
@@ -177,7 +176,7 @@ def tshark(*words, home: Path) -> str:
 def test_tshark_with_the_dissector_has_the_numbers_of_read(rig, folder, recording, tmp_path):
     seen = read(recording, rig)
     lua = f"lua_script:{folder / f'{rig.name}.lua'}"
-    keys = {signal.name: f"coulombus.{plain(signal)}" for _, signal in signals(rig.pdos())}
+    keys = {signal.name: f"coulombus.{signal.plain_name}" for _, signal in KnownBus(rig).signals()}
     out = tshark(
         "-X", lua, "-r", str(recording), "-T", "fields", "-E", "separator=,", *(w for k in keys.values() for w in ("-e", k)),
         home=tmp_path,
@@ -192,7 +191,7 @@ def test_tshark_with_the_dissector_has_the_numbers_of_read(rig, folder, recordin
 def test_tshark_filters_and_tells_in_words(tmp_path):
     rig = load_rig("bench")
     home = tmp_path / "home"
-    for name, text in tool_files(KnownBus.of_rig(rig)).items():
+    for name, text in tool_files(KnownBus(rig)).items():
         place = home / ".config" / "wireshark" / "profiles" / name.removeprefix("wireshark/")
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(text)
@@ -246,14 +245,14 @@ def test_tshark_filters_and_tells_in_words(tmp_path):
 
 
 def test_layouts_name_every_signal(rig, folder):
-    names = {signal.name for _, signal in signals(rig.pdos())}
+    names = {signal.name for _, signal in KnownBus(rig).signals()}
     root = ElementTree.fromstring((folder / f"{rig.name}-plotjuggler.xml").read_text())
     assert {curve.get("name") for curve in root.iter("curve")} == names
     layout = json.loads((folder / f"{rig.name}-foxglove.json").read_text())
     paths = [path for panel in layout["configById"].values() for path in panel.get("paths", ())]
     assert {path["label"] for path in paths} == names
     assert {path["value"] for path in paths} == {
-        f"/{pdo.node}/{pdo.name}.{signal.name}" for pdo, signal in signals(rig.pdos())
+        f"/{pdo.node}/{pdo.name}.{signal.name}" for pdo, signal in KnownBus(rig).signals()
     }
 
 

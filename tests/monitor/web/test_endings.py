@@ -13,6 +13,7 @@ from chromium import CHROMIUM, Browser
 from coulombus.monitor.live_incidents import IncidentReader
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.last_page import LastPage
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.wall_clock import utc
 from web_bench import BEGIN_NS, MS, TOKEN, Door, cycles, page, served
 
@@ -41,7 +42,7 @@ class Scene:
             self.door.door, last=lambda: self.word, entry=lambda trip: f"Why.\n\n1. Check it. {trip}\n2. More."
         )
         self.page = page(door=self.door)
-        self.incidents = IncidentReader(self.page.capture.rig)
+        self.incidents = IncidentReader(KnownBus(self.page.capture.rig))
         self.page.incidents = lambda: self.incidents.rows
         self._take(cycles(0, 400))
 

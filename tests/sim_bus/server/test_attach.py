@@ -8,6 +8,7 @@ import canopen
 import pytest
 
 from coulombus.monitor.live import Live
+from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import parse_address
@@ -90,7 +91,7 @@ def test_what_a_listener_sends_is_on_no_bus():
 
 
 def test_the_live_view_of_the_simulated_rig():
-    live = Live(load_rig("bench"))
+    live = Live(KnownBus(load_rig("bench")))
     with Client(BENCH) as client, opened() as host:
         sync = host.send_periodic(can.Message(arbitration_id=0x80, is_extended_id=False), 0.005)
         host.send(can.Message(arbitration_id=0, data=[1, 0], is_extended_id=False))
