@@ -30,7 +30,7 @@ from coulombus.host.commission.session import Runner, Session
 from coulombus.host.commission.step import Exercise, Finding, Given
 from coulombus.host.commission.steps import STEPS
 from coulombus.host.run.result import RunResult
-from coulombus.lab.rehearsal import rehearsed
+from coulombus.lab.commissioning import rehearsed
 from coulombus.rigs.rig import Rig, load_rig, packaged_rig
 from coulombus.system.errors import CoulombusError
 

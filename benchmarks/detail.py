@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from benchmarks.size import size
-from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
@@ -35,7 +35,7 @@ BRISTLES = ("plant.friction.law=lugre", "plant.friction.sigma_0_Nm_rad=500.0", "
 
 def _displaying(*overrides: str) -> VirtualRig:
     world = VirtualRig(load_rig("bench", overrides), "hybrid")
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(6_000_000_000)  # into the strokes
     return world

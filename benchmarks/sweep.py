@@ -17,10 +17,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.size import size
+from coulombus.lab.set_up import set_up
 from coulombus.lab.sweep.one_run import Job, carry_out, order_of
 from coulombus.lab.sweep.sweep_file import read_sweep
 from coulombus.lab.sweep.workers import on_processes
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
@@ -52,7 +52,7 @@ def sweep(show: Callable[..., None]) -> None:
     job = Job.of(swept)
     orders = [order_of(swept, run) for run in range(swept.runs)]
     world = VirtualRig(load_rig("bench"), "hybrid")
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(2_000_000_000)
     carry_out(job, orders[0])
@@ -78,7 +78,7 @@ def sweep(show: Callable[..., None]) -> None:
 def _cycles() -> None:
     """Wait for a line, run a display's cycles, and tell how long that took [s]."""
     world = VirtualRig(load_rig("bench"), "hybrid")
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(2_000_000_000)
     print("ready", flush=True)

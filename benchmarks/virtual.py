@@ -99,12 +99,12 @@ def simulation() -> None:
 
 def armed() -> VirtualRig:
     """Return a rig that displays."""
-    from coulombus.lab.virtual_bringup import switch_on
+    from coulombus.lab.set_up import set_up
     from coulombus.rigs.rig import load_rig
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
     world = VirtualRig(load_rig("bench"), "hybrid")
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(2_000_000_000)
     if world.controllers.trip is not None:

@@ -113,10 +113,10 @@ TARGETS = {
         tuple(
             f"RealCourse.{name}"
             for name in (
-                *("mark", "_why_no_change", "_apply", "_watch_keys", "drain", "_give_up_recording", "stop", "prepare"),
-                *("_hold", "_await_hand", "course", "_fail", "_attempt", "make_safe", "look", "_supervise"),
+                *("mark", "_why_no_change", "_apply", "_watch_keys", "drain", "_give_up_recording", "stop", "set_up"),
+                *("_await_hand", "armed", "_arm", "display", "_fail", "_attempt", "make_safe", "look", "_supervise"),
                 *("_plane_gone", "_never_cycled", "end", "close", "trip", "_lost_share", "_exit_status", "figures"),
-                "concluded",
+                "result",
             )
         ),
     ),

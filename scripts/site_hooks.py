@@ -27,7 +27,7 @@ from mkdocs.structure.files import File, Files
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.errors import STATUSES
 from coulombus.cli.main import main
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.field_help import accepted_range, fields_of, kinds_of, named_in, unit_of

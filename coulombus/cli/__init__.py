@@ -8,7 +8,7 @@ __all__: list[str] = []
 
 
 class _WithoutMf4:
-    """Import hook that hides asammdf from python-can until a log needs it (`coulombus.recording.mf4_log`).
+    """Import hook that hides asammdf from python-can until a log needs it (`coulombus.recording.logs.mf4`).
 
     If asammdf is installed (the extra ``export``), python-can would load it and pandas on import:
     each start of a verb would take 0.7 s of processor time longer.
@@ -17,7 +17,7 @@ class _WithoutMf4:
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
         """Hide `asammdf` from python-can; other importers are not affected."""
-        if name == "asammdf" and _imported_by("can.io.mf4") and not _imported_by("coulombus.recording.mf4_log"):
+        if name == "asammdf" and _imported_by("can.io.mf4") and not _imported_by("coulombus.recording.logs.mf4"):
             raise ImportError("left out by coulombus.cli", name=name)
 
 

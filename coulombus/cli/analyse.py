@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import click
+from click.core import ParameterSource
 
-from coulombus.cli.analyse_options import figures_option, loop_options, parameters_of, rig_of
-from coulombus.cli.analyse_output import steps, tell, tell_paths
-from coulombus.cli.analyse_plane import plane
-from coulombus.cli.analyse_rig import felt, hold, map_command, z_width
+from coulombus.cli.analyse_rig import felt, hold, map_command, plane, z_width
+from coulombus.cli.analyse_shared import (
+    AnalysedRigOptions,
+    FiguresOption,
+    LoopOptions,
+    print_figures,
+    print_result,
+    steps,
+)
 from coulombus.cli.analyse_theory import chatter_command, fig10, laws_command, limit_cycle, nyquist, stuck
-from coulombus.cli.common import json_option, printed, rig_option, say, seed_option, set_option
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.options import JsonOption, SeedOption, argument, option, with_options
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed, say
 
 __all__ = ["analyse"]
 
@@ -24,14 +31,16 @@ __all__ = ["analyse"]
     invoke_without_command=True,
     epilog=EXIT_STATUS,
 )
-@loop_options
-@rig_option
-@set_option
-@seed_option
-@figures_option
-@json_option
+@with_options
 @click.pass_context
-def analyse(ctx: click.Context, /, **options: Any) -> None:
+def analyse(
+    ctx: click.Context,
+    loop: LoopOptions,
+    options: AnalysedRigOptions,
+    seed: SeedOption,
+    figures: FiguresOption,
+    as_json: JsonOption,
+) -> None:
     """Compute the paper, equation by equation and figure by figure, and past it.
 
     Without a verb all of it, with the paper's parameters as defaults; each part is also a verb. The
@@ -47,34 +56,34 @@ def analyse(ctx: click.Context, /, **options: Any) -> None:
       coulombus analyse fig10 --encoder 1e-5 --json
     """
     if ctx.invoked_subcommand is not None:
-        given = [n for n in options if ctx.get_parameter_source(n) is click.core.ParameterSource.COMMANDLINE]
-        if given:
-            raise click.UsageError(f"put --{given[0].replace('_', '-')} after the verb {ctx.invoked_subcommand!r}")
+        before = [name for name in ctx.params if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+        if before:
+            raise click.UsageError(f"put --{before[0].replace('_', '-')} after the verb {ctx.invoked_subcommand!r}")
         return
     with errors():
-        _all(options)
+        from coulombus.analysis.figures.report import as_json as json_of
+        from coulombus.analysis.figures.report import lines
+        from coulombus.analysis.figures.report import study as whole_study
 
+        parameters, rig = loop.parameters(), options.axis()
+        with steps(9) as step:
+            result = whole_study(parameters, rig, seed=seed, step=step)
+        print_result(as_json, lambda: json_of(result), lambda: lines(result))
+        if figures:
+            from coulombus.analysis.figures.all import write_all
 
-def _all(options: dict[str, Any]) -> None:
-    from coulombus.analysis.figures.report import as_json, lines, study
-
-    parameters, rig = parameters_of(options), rig_of(options)
-    with steps(9) as step:
-        result = study(parameters, rig, seed=options["seed"], step=step)
-    tell(options["as_json"], lambda: as_json(result), lambda: lines(result))
-    if options["figures"]:
-        from coulombus.analysis.figures.all import write_all
-
-        tell_paths(write_all(options["figures"], result))
+            print_figures(write_all(figures, result))
 
 
 @analyse.command(epilog=EXIT_STATUS)
-@click.argument("folder", type=click.Path(readable=False, path_type=Path, file_okay=False))
-@figures_option
-@click.option("--exploration", is_flag=True, help="How the hands moved, from the recordings.")
-@click.option("--felt", is_flag=True, help="Thresholds in the torque that the hand felt, too, from the recordings.")
-@json_option
-def study(folder: Path, figures: Path | None, exploration: bool, felt: bool, as_json: bool) -> None:
+@with_options
+def study(
+    folder: Annotated[Path, argument(type=click.Path(readable=False, path_type=Path, file_okay=False))],
+    figures: FiguresOption,
+    exploration: Annotated[bool, option("How the hands moved, from the recordings.")],
+    felt: Annotated[bool, option("Thresholds in the torque that the hand felt, too, from the recordings.")],
+    as_json: JsonOption,
+) -> None:
     """Thresholds of a study that `coulombus experiment` has kept in FOLDER.
 
     Points of subjective equality, just noticeable differences, lapses and interval biases with
@@ -95,7 +104,7 @@ def study(folder: Path, figures: Path | None, exploration: bool, felt: bool, as_
 
         result = report(folder, exploration=exploration, felt=felt)
         if figures is not None:
-            tell_paths(write_figures(result, figures))
+            print_figures(write_figures(result, figures))
         if result["no_mixed_model"] is not None and len(result["subjects"]) > 1:
             say(f"coulombus: {result['no_mixed_model']}")
         with printed():

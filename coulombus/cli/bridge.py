@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import printed, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.options import IdsOption, argument, option, with_options
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed, say, verdict
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.server.bridge import Between
@@ -24,52 +24,49 @@ __all__ = ["bridge"]
 class Disturbance:
     """Disturbances of a bridge, from the options."""
 
-    delay_ms: float
-    drop: float
-    duplicate: float
-    corrupt: float
-    seed: int
+    delay_ms: Annotated[
+        float,
+        option("Delay every frame by this time.", type=click.FloatRange(0, 60_000), default=0.0, show_default=False),
+    ]
+    drop: Annotated[
+        float,
+        option(
+            "Share of frames to drop.", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, show_default=False
+        ),
+    ]
+    duplicate: Annotated[
+        float,
+        option("Share to send twice.", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, show_default=False),
+    ]
+    corrupt: Annotated[
+        float,
+        option(
+            "Share to send with one data bit inverted.",
+            metavar="RATE",
+            type=click.FloatRange(0, 1),
+            default=0.0,
+            show_default=False,
+        ),
+    ]
+    seed: Annotated[int, option("Random seed.", default=0)]
 
-    def of(self, direction: int) -> Between:
+    def between(self, direction: int) -> Between:
         """Return the disturbance of one direction, 0 or 1, each with its own random numbers."""
         from coulombus.sim_bus.server.bridge import faults
 
         return faults(self.delay_ms, self.drop, self.seed + direction, duplicate=self.duplicate, corrupt=self.corrupt)
 
 
-disturbance_options = bundle(
-    "disturbance",
-    Disturbance,
-    click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Delay every frame by this time."),
-    click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of frames to drop."),
-    click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice."),
-    click.option(
-        "--corrupt",
-        metavar="RATE",
-        type=click.FloatRange(0, 1),
-        default=0.0,
-        help="Share to send with one data bit inverted.",
-    ),
-    click.option("--seed", default=0, show_default=True, help="Random seed."),
-)
-
-
 @click.command("bridge", epilog=EXIT_STATUS)
-@click.argument("a")
-@click.argument("b")
-@click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
-@click.option("--one-way", is_flag=True, help="From A to B only.")
-@disturbance_options
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then the result.")
+@with_options
 def bridge(
-    a: str,
-    b: str,
-    ids_text: str | None,
-    one_way: bool,
+    a: Annotated[str, argument()],
+    b: Annotated[str, argument()],
+    ids_text: IdsOption,
+    one_way: Annotated[bool, option("From A to B only.")],
     disturbance: Disturbance,
-    seconds: float | None,
-    as_json: bool,
+    seconds: Annotated[float | None, option("End after this many seconds.", type=click.FloatRange(0, min_open=True))],
+    as_json: Annotated[bool, option("--json", "One JSON object a line: ready, then the result.")],
 ) -> None:
     """Join two buses, coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL: what one carries is sent
     on the other.
@@ -102,8 +99,8 @@ def bridge(
 
         result = join(
             *ends,
-            between=disturbance.of(0),
-            back=disturbance.of(1),
+            between=disturbance.between(0),
+            back=disturbance.between(1),
             ranges=ranges,
             one_way=one_way,
             seconds=seconds,

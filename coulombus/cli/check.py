@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, load_with_law, rig_option, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.options import JsonOption, RigOption, SetOption, option, with_options
+from coulombus.cli.rig_options import load_with_law
 from coulombus.cli.tables import PROSE, echo, on_terminal
+from coulombus.system.exit import verdict
 from coulombus.system.wrap_text import columns_of
 
 if TYPE_CHECKING:
@@ -24,14 +26,17 @@ __all__ = ["check"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
-@click.option(
-    "--bus", "bus_name", metavar="B", help="Compare the position scale of the drives on this bus with the rig file."
-)
-@json_option
-def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str | None, as_json: bool) -> None:
+@with_options
+def check(
+    rig_name: RigOption,
+    overrides: SetOption,
+    steps: Annotated[bool, option("List every object that bring-up writes, in its order, and why.")],
+    bus_name: Annotated[
+        str | None,
+        option("--bus", "Compare the position scale of the drives on this bus with the rig file.", metavar="B"),
+    ],
+    as_json: JsonOption,
+) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle
     fits on the bus; nothing is run.
 
@@ -66,7 +71,7 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, bus_name: str 
             if as_json:
                 print_json(findings.document(steps))
             else:
-                findings.tell(steps)
+                findings.show(steps)
 
 
 def _hold_against(findings: _Findings, bus_name: str) -> None:
@@ -99,9 +104,9 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     """Return the errors of a rig file as problems: those of roles with their role, the others as their text."""
     from coulombus.rigs.problem import Problem
 
-    known = [problem._asdict() for problem in error.problems]
-    texts = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
-    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
+    problems = [problem._asdict() for problem in error.problems]
+    texts = [text for text in error.errors if not any(problem["text"] in text for problem in problems)]
+    return problems + [Problem("", "", "", text, "correct the rig file")._asdict() for text in texts]
 
 
 GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
@@ -157,9 +162,9 @@ class _Findings:
                 limits = () if further else torque_limits(axis.description("motor"), number)
                 named = [f"{index:04X}h" for index in limits]
                 self.limited_by[axis.prefix + mode] = " and ".join(named) or "(of the host alone)"
-                made = device_plans(controller)
-                self.by_mode.setdefault(mode, []).extend(made)
-                devices += made
+                bring_up = device_plans(controller)
+                self.by_mode.setdefault(mode, []).extend(bring_up)
+                devices += bring_up
         # each mode has its own limit
         self.problems = _once(problem for device in devices for problem in device.problems)
         self.questions: list[str] = _once(text for device in devices for text in device.questions)
@@ -248,7 +253,7 @@ class _Findings:
         }
         return document | ({"steps": self._steps()} if steps else {})
 
-    def tell(self, steps: bool) -> None:
+    def show(self, steps: bool) -> None:
         """Print everything as text."""
         from coulombus.host.laws.plane.plane_laws import builtin_laws
         from coulombus.rigs.draft.draft_text import CHECK

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import click
 
-from coulombus.cli.common import json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.fault_options import bus_of_faults, fault_bus_option, mark_host
+from coulombus.cli.options import JsonOption, argument, option, with_options
+from coulombus.cli.rig_options import FaultBusOption, bus_of_faults, mark_host
 from coulombus.cli.tables import echo
+from coulombus.system.exit import verdict
 
 __all__ = ["clear"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("fault", required=False)
-@click.option("--on", "where", metavar="NODE|bus", default=None, help="Only there.  [default: everywhere]")
-@fault_bus_option
-@json_option
-def clear(fault: str | None, where: str | None, bus_name: str | None, as_json: bool) -> None:
+@with_options
+def clear(
+    fault: Annotated[str | None, argument(required=False)],
+    where: Annotated[str | None, option("--on", "Only there.  [default: everywhere]", metavar="NODE|bus")],
+    bus_name: FaultBusOption,
+    as_json: JsonOption,
+) -> None:
     """End the faults of a running `emulate` or `node`: FAULT, or all.
 
     A drive keeps its state FAULT until the fault reset. Ends with 4 where no such bus runs, with 5

@@ -6,26 +6,25 @@ import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import (
-    bus_option,
-    check_shared_machine,
-    force_option,
-    json_option,
-    load,
-    say,
-    seed_option,
-    set_option,
-    shared_machine_option,
-    verdict,
-)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputFile
+from coulombus.cli.options import (
+    BusOption,
+    JsonOption,
+    OverwriteOption,
+    SeedOption,
+    SetOption,
+    SharedMachineOption,
+    option,
+    with_options,
+)
+from coulombus.cli.rig_options import check_shared_machine, load
 from coulombus.cli.tables import echo, progress, table_console
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from coulombus.host.commission.session import Runner, Session, StepEnd
@@ -39,41 +38,42 @@ __all__ = ["commission"]
 class Rehearsal:
     """The rig of a rehearsal, from the options."""
 
-    virtual: bool
-    truth: Path | None
-    seed: int
+    virtual: Annotated[bool, option("Rehearse in virtual time, on the rig file's own [plant].")]
+    truth: Annotated[
+        Path | None,
+        option(
+            "With --virtual: the rig file of the simulated rig as it truly is.",
+            type=click.Path(readable=False, path_type=Path, dir_okay=False),
+            metavar="T.toml",
+        ),
+    ]
+    seed: SeedOption
 
     def runner(self, axis: str | None) -> Runner:
         """Return a function that runs the steps in virtual time."""
-        from coulombus.lab.rehearsal import rehearsed
+        from coulombus.lab.commissioning import rehearsed
 
         true = None if self.truth is None else load(str(self.truth.resolve()), ()).alone(axis)
         return rehearsed(true, seed=self.seed)
 
 
-rehearsal_options = bundle(
-    "rehearsal",
-    Rehearsal,
-    click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant]."),
-    click.option(
-        "--truth",
-        type=click.Path(readable=False, path_type=Path, dir_okay=False),
-        metavar="T.toml",
-        help="With --virtual: the rig file of the simulated rig as it truly is.",
-    ),
-    seed_option,
-)
-
-
 @dataclass(frozen=True)
-class Own:
+class CommissionedRig:
     """The rig file to write, and its bus, from the options."""
 
-    rig_path: Path | None
-    bus_name: str | None
-    axis: str | None
-    overrides: tuple[str, ...]
-    shared_machine: bool
+    rig_path: Annotated[
+        Path | None,
+        option(
+            "--rig",
+            "The rig file to commission; it is written.",
+            type=click.Path(readable=False, path_type=Path, dir_okay=False),
+            metavar="MY.toml",
+        ),
+    ]
+    bus_name: BusOption
+    axis: Annotated[str | None, option("Axis of a rig file with several.", metavar="NAME")]
+    overrides: SetOption
+    shared_machine: SharedMachineOption
 
     def path(self) -> Path:
         """Return the rig file.
@@ -107,23 +107,36 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Doing:
+class StepOptions:
     """Selection and settings of the steps, from the options."""
 
-    names: tuple[str, ...]
-    listed: bool
-    again: bool
-    yes: bool
+    names: Annotated[tuple[str, ...], option("--step", "Only this step; may be given several times.", metavar="NAME")]
+    listed: Annotated[bool, option("--list", "Print the steps, and which are done; nothing moves.")]
+    again: Annotated[bool, option("Repeat steps that are done.")]
+    yes: Annotated[bool, option("Do not ask for confirmation. Nobody may touch the rig.")]
 
 
 @dataclass(frozen=True)
-class Weighed:
+class ManualMeasurements:
     """Manual measurements for a step, from the options."""
 
-    weight_Nm: float | None
-    marks_rad: float | None
-    weight_reach_Nm: float
-    marks_reach_rad: float
+    weight_Nm: Annotated[
+        float | None, option("Torque of a known weight at the handle, for the step weight.", type=float)
+    ]
+    marks_rad: Annotated[
+        float | None, option("Angle between two marks at the handle, for the step encoder.", type=float)
+    ]
+    weight_reach_Nm: Annotated[
+        float, option("Half of the 95 % interval of the weight's torque.", type=click.FloatRange(min=0.0), default=0.0)
+    ]
+    marks_reach_rad: Annotated[
+        float,
+        option(
+            "Half of the 95 % interval of the marks' angle, as your hand sets it.",
+            type=click.FloatRange(min=0.0),
+            default=0.002,
+        ),
+    ]
 
 
 @dataclass(frozen=True)
@@ -134,75 +147,17 @@ class Paper:
     operator: str | None
 
 
-own_options = bundle(
-    "own",
-    Own,
-    click.option(
-        "--rig",
-        "rig_path",
-        type=click.Path(readable=False, path_type=Path, dir_okay=False),
-        metavar="MY.toml",
-        help="The rig file to commission; it is written.",
-    ),
-    bus_option,
-    click.option("--axis", metavar="NAME", help="Axis of a rig file with several."),
-    set_option,
-    shared_machine_option,
-)
-doing_options = bundle(
-    "doing",
-    Doing,
-    click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times."),
-    click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves."),
-    click.option("--again", is_flag=True, help="Repeat steps that are done."),
-    click.option("--yes", is_flag=True, help="Do not ask for confirmation. Nobody may touch the rig."),
-)
-weighed_options = bundle(
-    "weighed",
-    Weighed,
-    click.option(
-        "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
-    ),
-    click.option(
-        "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
-    ),
-    click.option(
-        "--weight-reach-Nm",
-        "weight_reach_Nm",
-        type=click.FloatRange(min=0.0),
-        default=0.0,
-        show_default=True,
-        help="Half of the 95 % interval of the weight's torque.",
-    ),
-    click.option(
-        "--marks-reach-rad",
-        "marks_reach_rad",
-        type=click.FloatRange(min=0.0),
-        default=0.002,
-        show_default=True,
-        help="Half of the 95 % interval of the marks' angle, as your hand sets it.",
-    ),
-)
-
-
 @click.command(epilog=EXIT_STATUS)
-@own_options
-@doing_options
-@rehearsal_options
-@weighed_options
-@click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
-@click.option("--operator", metavar="NAME", help="Your name, for the report.  [default: the user's]")
-@force_option
-@json_option
+@with_options
 def commission(
-    own: Own,
-    doing: Doing,
+    rig: CommissionedRig,
+    doing: StepOptions,
     rehearsal: Rehearsal,
-    weighed: Weighed,
-    report: Path | None,
-    operator: str | None,
-    overwrite: bool,  # of the report: `OutputFile` reads it
-    as_json: bool,
+    weighed: ManualMeasurements,
+    report: Annotated[Path | None, option("Write the report there, too.", type=OutputFile(".html"), metavar="F.html")],
+    operator: Annotated[str | None, option("Your name, for the report.  [default: the user's]", metavar="NAME")],
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Measure the rig step by step, and write what is found into its rig file.
 
@@ -223,22 +178,22 @@ def commission(
         from coulombus.host.commission.step import Given
         from coulombus.host.commission.steps import STEPS
 
-        chosen = _chosen(STEPS, doing.names)
+        steps = _selected(STEPS, doing.names)
         if doing.listed:
-            _print_list(chosen, own.rig_path, own.axis, as_json)
-        path = own.path()
+            _print_list(steps, rig.rig_path, rig.axis, as_json)
+        path = rig.path()
         if rehearsal.truth is not None and not rehearsal.virtual:
             raise click.UsageError("--truth is for --virtual")
-        if rehearsal.virtual and own.bus_name is not None:
+        if rehearsal.virtual and rig.bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
-        overrides = own.all_overrides()
+        overrides = rig.all_overrides()
         if not doing.yes and not _somebody():
             raise click.UsageError("no terminal to ask on: give --yes")
         load(str(path.resolve()), overrides)
-        run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
-        given = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
-        session = Session(path, run, given, _now, overrides, own.axis)
-        done = _commission(session, chosen, doing, Paper(report, operator))
+        run = rehearsal.runner(rig.axis) if rehearsal.virtual else _real(rig.bus_name, as_json)
+        values = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
+        session = Session(path, run, values, _now, overrides, rig.axis)
+        done = _commission(session, steps, doing, Paper(report, operator))
         asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)
         with verdict(1 if asked_for_what_lacks else 0):
             if as_json:
@@ -247,14 +202,15 @@ def commission(
                 _print_findings(done)
 
 
-def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
-    known = [step.name for step in steps]
+def _selected(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
+    names_of_steps = [step.name for step in steps]
     for name in names:
-        if name not in known:
+        if name not in names_of_steps:
             from coulombus.rigs.errors import nearest
 
             raise click.BadParameter(
-                f"{name!r}: expected one of {', '.join(known)}{nearest(name, known)}", param_hint="--step"
+                f"{name!r}: expected one of {', '.join(names_of_steps)}{nearest(name, names_of_steps)}",
+                param_hint="--step",
             )
     return tuple(step for step in steps if not names or step.name in names)
 
@@ -273,7 +229,7 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
                 echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
-def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, paper: Paper) -> list[StepEnd]:
+def _commission(session: Session, steps: tuple[Step, ...], doing: StepOptions, paper: Paper) -> list[StepEnd]:
     """Execute the steps, and return their results."""
     done: list[StepEnd] = []
     for step in steps:
@@ -282,7 +238,7 @@ def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, paper: 
             continue
         result = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
         done.append(result)
-        _tell(result)
+        _print_end(result)
         if result.what == "done":
             _report(session, paper)
     return done
@@ -325,12 +281,12 @@ def _agree(step: Step, risk: Risk, yes: bool) -> bool:
     if yes:
         return True
     try:
-        return click.confirm("  begin?", default=None, err=True)
+        return click.confirm("  begin?", err=True)
     except click.Abort:  # Ctrl-C, or the terminal has closed
         raise KeyboardInterrupt from None
 
 
-def _tell(result: StepEnd) -> None:
+def _print_end(result: StepEnd) -> None:
     if result.what != "done":
         say(f"{result.step}: {result.what}{': ' + result.why if result.why else ''}")
         return

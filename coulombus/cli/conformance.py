@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import json_option, printed, say
-from coulombus.cli.device_options import devices_bus_option
+from coulombus.cli.device_options import DevicesBusOption
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import OutputFile
+from coulombus.cli.option_types import UNCHECKED_PATH, OutputFile
+from coulombus.cli.options import JsonOption, option, with_options
+from coulombus.system.exit import printed, say
 
 if TYPE_CHECKING:
     from coulombus.conformance.catalogue import Case
@@ -30,21 +30,42 @@ LONGEST_TIMEOUT_S = 60.0
 class Tested:
     """The device and the settings of its test, from the options."""
 
-    bus_name: str
-    node_id: int
-    eds_path: Path
-    timeout: float
-    seed: int
-    force: bool
+    bus_name: DevicesBusOption
+    node_id: Annotated[
+        int, option("--node", "The device's node id.", required=True, type=click.IntRange(1, 127), metavar="N")
+    ]
+    eds_path: Annotated[
+        Path,
+        option(
+            "--eds",
+            "EDS, DCF, XDD or XDC file of the device.",
+            required=True,
+            type=UNCHECKED_PATH,
+            metavar="E",
+        ),
+    ]
+    timeout: Annotated[float, option("Time limit for an answer.", default=1.0, metavar="S")]
+    seed: Annotated[int, option("Random seed.", default=0)]
+    force: Annotated[
+        bool, option("Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.")
+    ]
 
 
 @dataclass(frozen=True)
 class Reports:
     """Output files of ``conformance``, from the options."""
 
-    overwrite: bool
-    junit: Path | None
-    report_path: Path | None
+    overwrite: Annotated[bool, option("Overwrite existing reports. --force is about the device.", is_eager=True)]
+    junit: Annotated[Path | None, option("Write JUnit XML there.", type=OutputFile(), metavar="F.xml")]
+    report_path: Annotated[
+        Path | None,
+        option(
+            "--report",
+            "Write a readable report there, with the frames of each failure.",
+            type=OutputFile(),
+            metavar="F.md|F.html",
+        ),
+    ]
 
     def write(self, report: Report) -> None:
         """Write the requested files."""
@@ -57,61 +78,15 @@ class Reports:
                     write(report, path)
 
 
-tested_options = bundle(
-    "tested",
-    Tested,
-    devices_bus_option,
-    click.option(
-        "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
-    ),
-    click.option(
-        "--eds",
-        "eds_path",
-        required=True,
-        type=click.Path(readable=False, path_type=Path),
-        metavar="E",
-        help="EDS, DCF, XDD or XDC file of the device.",
-    ),
-    click.option("--timeout", default=1.0, show_default=True, metavar="S", help="Time limit for an answer."),
-    click.option("--seed", default=0, show_default=True, help="Random seed."),
-    click.option(
-        "--force",
-        is_flag=True,
-        help="Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.",
-    ),
-)
-reports_options = bundle(
-    "reports",
-    Reports,
-    click.option(
-        "--overwrite",
-        is_flag=True,
-        is_eager=True,
-        help="Overwrite existing reports. --force is about the device.",
-    ),
-    click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there."),
-    click.option(
-        "--report",
-        "report_path",
-        type=OutputFile(),
-        metavar="F.md|F.html",
-        help="Write a readable report there, with the frames of each failure.",
-    ),
-)
-
-
 @click.command("conformance", epilog=EXIT_STATUS)
-@tested_options
-@click.option(
-    "--case", "numbers", multiple=True, metavar="ID", help="Only this case, as 2.10. May be given several times."
-)
-@reports_options
-@json_option
+@with_options
 def conformance(
     tested: Tested,
-    numbers: tuple[str, ...],
+    numbers: Annotated[
+        tuple[str, ...], option("--case", "Only this case, as 2.10. May be given several times.", metavar="ID")
+    ],
     reports: Reports,
-    as_json: bool,
+    as_json: JsonOption,
 ) -> None:
     """Test a CANopen device against its EDS and CiA 301, 305 and 402, over its bus alone.
 

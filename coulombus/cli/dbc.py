@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import force_option, printed
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import OutputFile
-from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
+from coulombus.cli.options import OverwriteOption, option, with_options
+from coulombus.cli.rig_options import KnownBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed
 
 __all__ = ["dbc"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@known_bus_options
-@click.option(
-    "-o",
-    "--out",
-    type=OutputFile(".dbc", ".kcd", ".sym"),
-    metavar="F.dbc",
-    help="Write the file there: .dbc, .kcd or .sym.  [default: a DBC file, to stdout]",
-)
-@force_option
-def dbc(chosen: KnownBusOptions, out: Path | None, overwrite: bool) -> None:
+@with_options
+def dbc(
+    bus_options: KnownBusOptions,
+    out: Annotated[
+        Path | None,
+        option(
+            "-o",
+            "--out",
+            "Write the file there: .dbc, .kcd or .sym.  [default: a DBC file, to stdout]",
+            type=OutputFile(".dbc", ".kcd", ".sym"),
+            metavar="F.dbc",
+        ),
+    ],
+    overwrite: OverwriteOption,
+) -> None:
     """Write a DBC file of a rig's PDOs and services, or of devices by their EDS files, for cantools,
     SavvyCAN, PlotJuggler.
 
@@ -44,7 +51,7 @@ def dbc(chosen: KnownBusOptions, out: Path | None, overwrite: bool) -> None:
         from coulombus.recording.output_file import new_file
 
         suffix = ".dbc" if out is None else out.suffix.lower()
-        text = database_text(chosen.known()[0], suffix)
+        text = database_text(bus_options.known()[0], suffix)
         if out is None:
             with printed():
                 echo(text, nl=False)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from dataclasses import replace
 
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import InputPath
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.options import JsonLinesOption, RecordingArgument, with_options
+from coulombus.cli.rig_options import LogOptions
 from coulombus.system.foreign_text import printable
 from coulombus.system.wrap_text import columns_of
 
@@ -17,10 +17,12 @@ __all__ = ["decode"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", type=InputPath())
-@log_options
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
-def decode(file: Path, log: LogOptions, as_json: bool) -> None:
+@with_options
+def decode(
+    file: RecordingArgument,
+    log: LogOptions,
+    as_json: JsonLinesOption,
+) -> None:
     """Print a recording frame by frame, PDOs by name in SI units.
 
     Takes pcapng and other tools' logs (docs/recording.md lists their formats). Without a rig,
@@ -45,8 +47,8 @@ def decode(file: Path, log: LogOptions, as_json: bool) -> None:
         bare = log.rig_name is None and (bool(log.eds) or not has_rig(file))
         recording = None
         if not bare:
-            recording = blocks(file, None if log.rig_name is None else load_rig(log.rig_name), log.channels)
-            recording.inside = ()  # frames of the host's telemetry were on no bus
+            rig = None if log.rig_name is None else load_rig(log.rig_name)
+            recording = replace(blocks(file, rig, log.channels), inside=())  # the host's telemetry was on no bus
         remarks: list[str] = []
         out = sys.stdout
         width = columns_of(out)

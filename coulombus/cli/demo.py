@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import click
-from click.core import ParameterSource
 
-from coulombus.cli.common import display_s, json_option, load, rig_option, say, seed_option, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputDirectory
+from coulombus.cli.options import JsonOption, SeedOption, option, with_options
+from coulombus.cli.rig_options import RigOptions, display_s, load
 from coulombus.cli.run_table import print_arms, print_runs, print_verdict
 from coulombus.cli.tables import echo, progress
+from coulombus.system.exit import say, verdict
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -22,30 +24,21 @@ if TYPE_CHECKING:
 __all__ = ["demo", "next_steps"]
 
 
+@dataclass(frozen=True)
+class DemoOptions(RigOptions):
+    """The rig of the demo, its world, its time, and the folder of its results."""
+
+    seed: SeedOption
+    out: Annotated[Path, option("Directory for the results.", type=OutputDirectory(), default=Path("out/demo"))]
+    virtual: Annotated[
+        bool, option("In virtual time: some seconds instead of half a minute, and the same bytes every time.")
+    ]
+    plane: Annotated[bool, option("Friction in the plane, on an arm (the rig plane, or --rig), in virtual time.")]
+
+
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@set_option
-@seed_option
-@click.option(
-    "--out",
-    type=OutputDirectory(),
-    default=Path("out/demo"),
-    show_default=True,
-    help="Directory for the results.",
-)
-@click.option(
-    "--virtual",
-    is_flag=True,
-    help="In virtual time: some seconds instead of half a minute, and the same bytes every time.",
-)
-@click.option(
-    "--plane",
-    is_flag=True,
-    help="Friction in the plane, on an arm (the rig plane, or --rig), in virtual time.",
-)
-@json_option
-@click.pass_context
-def demo(context: click.Context, /, **options: Any) -> None:
+@with_options
+def demo(options: DemoOptions, as_json: JsonOption) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
     still.
 
@@ -63,27 +56,25 @@ def demo(context: click.Context, /, **options: Any) -> None:
       coulombus demo --plane
       coulombus demo --seed 3 --out out/third
     """
-    rig_name, overrides = options["rig_name"], options["overrides"]
-    seed, out, as_json = options["seed"], options["out"], options["as_json"]
-    if options["plane"]:
-        default = context.get_parameter_source("rig_name") is ParameterSource.DEFAULT
-        _plane("plane" if default else rig_name, overrides, seed, out, as_json)
+    if options.plane:
+        _plane(options, as_json)
         return
+    rig_name, out = options.rig_name, options.out
     with errors():
         from coulombus.lab.demo.demo import DEMO_MODES, TITLES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.reading import blocks
 
-        rig = load(rig_name, overrides).alone()
+        rig = load(rig_name, options.overrides).alone()
         missing = [mode for mode in DEMO_MODES if mode not in rig.modes]
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
         total = display_s(rig, None)
-        if options["virtual"]:
+        if options.virtual:
             with progress(not as_json) as report:
-                result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+                result = run_demo(rig, out, seed=options.seed, progress=lambda mode, t: report(mode, t, total))
         else:
-            result = _real_demo(rig_name, overrides, seed, out, total, as_json)
+            result = _real_demo(options, total, as_json)
         shown = {name: run for name, run in displays(rig).items() if name in result.results}
         columns = {TITLES[name]: (run.mode, blocks(out / f"{name}.pcapng")) for name, run in shown.items()}
         figure_14(columns, out / "demo.png")
@@ -103,17 +94,18 @@ def demo(context: click.Context, /, **options: Any) -> None:
                     echo(f"  {command}\n      {why}")
 
 
-def _plane(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_json: bool) -> None:
+def _plane(options: DemoOptions, as_json: bool) -> None:
     """Run the demo in the plane."""
+    rig_name, out = options.rig_name if options.names_rig else "plane", options.out
     with errors():
         from coulombus.analysis.figures.plane_runs import draw_plane_demo
         from coulombus.lab.demo.plane_demo import run_plane_demo
         from coulombus.recording.pictures.plot import save_picture
 
-        rig = load(rig_name, overrides)
+        rig = load(rig_name, options.overrides)
         total = display_s(rig, None)
         with progress(not as_json) as report:
-            result = run_plane_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+            result = run_plane_demo(rig, out, seed=options.seed, progress=lambda mode, t: report(mode, t, total))
         save_picture(draw_plane_demo(result), out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:
@@ -168,20 +160,20 @@ def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str
     )
 
 
-def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
+def _real_demo(options: DemoOptions, total: float, as_json: bool) -> Demo:
     from coulombus.lab.demo.real_demo import run_real_demo
     from coulombus.rigs.overrides import SHARED_MACHINE
     from coulombus.rigs.rig import load_rig
     from coulombus.system.stop_signals import Signals
 
-    both = (*SHARED_MACHINE, *overrides)
+    both = (*SHARED_MACHINE, *options.overrides)
     say("for a machine shared with others:\n" + "\n".join(f"  --set {text}" for text in SHARED_MACHINE))
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
-            load_rig(rig_name, both).alone(),
-            rig_name,
-            out,
-            seed=seed,
+            load_rig(options.rig_name, both).alone(),
+            options.rig_name,
+            options.out,
+            seed=options.seed,
             overrides=both,
             signals=signals,
             progress=lambda mode, t: report(mode, t, total),

@@ -4,38 +4,36 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE, RIG_VARIABLE, adapter_option, load, say, with_adapter_options
 from coulombus.cli.errors import errors
-from coulombus.cli.option_types import SECONDS, InputPath
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, InputPath
+from coulombus.cli.options import ADAPTER, BUS_VARIABLE, RIG_VARIABLE, argument, option, with_adapter_options
+from coulombus.cli.rig_options import load
+from coulombus.system.exit import say
 from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.host.devices.device import KnownDevice
     from coulombus.wire.bus_link import BusLink
 
-Verb = TypeVar("Verb", bound=Callable[..., Any])
-
 __all__ = [
+    "BesideOption",
     "DeviceOptions",
+    "DevicesBusOption",
+    "EdsFolderOption",
     "LiveLine",
     "NodeArgument",
-    "beside_option",
-    "device_options",
-    "devices_bus_option",
-    "eds_folder_option",
-    "node_argument",
+    "NodeType",
+    "NodesRigOption",
+    "TimeoutOption",
     "open_link",
-    "timeout_option",
-    "waiting_option",
 ]
 
 
@@ -59,48 +57,34 @@ def _living_bus(context: click.Context, param: click.Parameter, bus_name: str | 
     return f"coulombus:{names[0]}"
 
 
-def devices_bus_option(verb: Verb) -> Verb:
-    """Add --bus and --bus-option, for a bus of any kind."""
-    bus = click.option(
+DevicesBusOption = Annotated[
+    str,
+    option(
         "--bus",
-        "bus_name",
+        "coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.  [default: the one virtual bus that is served]",
         metavar="B",
         envvar=BUS_VARIABLE,
         callback=_living_bus,
-        help="coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.  [default: the one virtual bus that is served]",
-    )
-    return bus(adapter_option(verb))
+    ),
+    ADAPTER,
+]
+BesideOption = Annotated[bool, option("--beside-host", "Also while a host runs on the bus, at your own risk.")]
+EdsFolderOption = Annotated[
+    Path | None,
+    option(
+        "--eds",
+        "Folder of EDS and DCF files; each device's file is found there by its identity (1018h).",
+        type=InputPath(file_okay=False),
+        metavar="FOLDER",
+    ),
+]
+NodesRigOption = Annotated[
+    str | None,
+    option("--rig", "A rig that has the node: its name, its EDS file, its SI units.", metavar="R", is_eager=True),
+]
 
 
-beside_option = click.option(
-    "--beside-host", "beside", is_flag=True, help="Also while a host runs on the bus, at your own risk."
-)
-eds_folder_option = click.option(
-    "--eds",
-    "eds_folder",
-    type=InputPath(file_okay=False),
-    metavar="FOLDER",
-    help="Folder of EDS and DCF files; each device's file is found there by its identity (1018h).",
-)
-
-
-eds_option = click.option(
-    "--eds",
-    "eds",
-    type=click.Path(readable=False, path_type=Path),
-    metavar="E",
-    help="Its EDS, DCF, XDD or XDC file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
-)
-rig_option = click.option(
-    "--rig",
-    "rig_name",
-    metavar="R",
-    is_eager=True,
-    help="A rig that has the node: its name, its EDS file, its SI units.",
-)
-
-
-class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+class NodeType(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
     """A node id, or the name of a node in the rig of --rig or COULOMBUS_RIG."""
 
     name = "node"
@@ -110,8 +94,8 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         text = str(value)
         if text.isdecimal() and 1 <= int(text) <= 127:
             return int(text)
-        given = None if ctx is None else ctx.params.get("rig_name")
-        rig_name = given if isinstance(given, str) else os.environ.get(RIG_VARIABLE)
+        text_of_rig = None if ctx is None else ctx.params.get("rig_name")
+        rig_name = text_of_rig if isinstance(text_of_rig, str) else os.environ.get(RIG_VARIABLE)
         if text.lstrip("+-").isdecimal() or rig_name is None:
             self.fail(
                 f"{text!r}: expected a node id, 1 to 127, or a node's name and its rig, as --rig bench (or COULOMBUS_RIG)",
@@ -129,21 +113,17 @@ class NodeArgument(click.ParamType):  # type: ignore[type-arg]  # generic to som
         return "It is a node id, 1 to 127; or a node's name and its rig, as motor --rig bench"
 
 
-node_argument = click.argument("node_id", type=NodeArgument(), metavar="NODE")
-timeout_option = click.option(
-    "--timeout",
-    "timeout_s",
-    type=SECONDS,
-    default=1.0,
-    show_default=True,
-    metavar="S",
-    help="Time limit for an answer; after a write of 1010h or 1011h, 10 s at least.",
-)
-
-
-def waiting_option(help_text: str) -> Callable[[Any], Any]:
-    """Return --timeout of a verb whose steps have different defaults; its default is None."""
-    return click.option("--timeout", "timeout_s", type=SECONDS, metavar="S", help=help_text)
+NodeArgument = Annotated[int, argument(type=NodeType(), metavar="NODE")]
+TimeoutOption = Annotated[
+    float,
+    option(
+        "--timeout",
+        "Time limit for an answer; after a write of 1010h or 1011h, 10 s at least.",
+        type=SECONDS,
+        default=1.0,
+        metavar="S",
+    ),
+]
 
 
 @contextmanager
@@ -193,11 +173,18 @@ class LiveLine:
 class DeviceOptions:
     """Connection and description of a device, from the options."""
 
-    bus_name: str
-    eds: Path | None
-    rig_name: str | None
-    timeout_s: float
-    beside: bool
+    bus_name: DevicesBusOption
+    eds: Annotated[
+        Path | None,
+        option(
+            "Its EDS, DCF, XDD or XDC file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
+            type=UNCHECKED_PATH,
+            metavar="E",
+        ),
+    ]
+    rig_name: NodesRigOption
+    timeout_s: TimeoutOption
+    beside: BesideOption
 
     @contextmanager
     def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, KnownDevice]]:
@@ -224,11 +211,6 @@ class DeviceOptions:
                 description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
             yield link, KnownDevice(client, description)
             client.settle()
-
-
-device_options = bundle(
-    "reached", DeviceOptions, devices_bus_option, eds_option, rig_option, timeout_option, beside_option
-)
 
 
 def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:

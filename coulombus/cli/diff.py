@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import PICTURE, InputPath
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.option_types import PICTURE
+from coulombus.cli.options import JsonOption, OverwriteOption, RecordingArgument, option, with_options
+from coulombus.cli.rig_options import LogOptions
 from coulombus.cli.tables import echo, print_table, table_console
+from coulombus.system.exit import verdict
 
 if TYPE_CHECKING:
     from coulombus.recording.difference import Comparison, Difference
@@ -36,28 +37,26 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 
 
 @click.command("diff", epilog=EXIT_STATUS)
-@click.argument("a", type=InputPath())
-@click.argument("b", type=InputPath())
-@click.option(
-    "--tolerance",
-    "tolerances",
-    multiple=True,
-    callback=_tolerances,
-    metavar="[SIGNAL=|UNIT=]V",
-    help="The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
-)
-@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
-@log_options
-@force_option
-@json_option
+@with_options
 def diff(
-    a: Path,
-    b: Path,
-    tolerances: dict[str, float],
-    out: Path | None,
+    a: RecordingArgument,
+    b: RecordingArgument,
+    tolerances: Annotated[
+        dict[str, float],
+        option(
+            "--tolerance",
+            "The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
+            multiple=True,
+            callback=_tolerances,
+            metavar="[SIGNAL=|UNIT=]V",
+        ),
+    ],
+    out: Annotated[
+        Path | None, option("-o", "--out", "Draw both and their difference there.", type=PICTURE, metavar="F.png")
+    ],
     log: LogOptions,
-    overwrite: bool,
-    as_json: bool,
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Compare two recordings: two runs, or a simulated one and the rig's.
 
@@ -73,12 +72,8 @@ def diff(
     """
     with errors():
         from coulombus.recording.comparison import compare
-        from coulombus.recording.output_file import new_file, reason_against
+        from coulombus.recording.output_file import new_file
 
-        remedy = "choose another name by -o, or replace it with --overwrite"
-        reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
-        if reason is not None:  # before two long recordings are read
-            raise click.UsageError(reason)
         comparison = compare(a, b, tolerances=tolerances, rig=log.rig_name, channel=log.channels, eds=log.files())
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences
@@ -91,7 +86,7 @@ def diff(
             if as_json:
                 print_json(_plain(comparison.as_dict()))
             else:
-                _tell(comparison)
+                _print_comparison(comparison)
 
 
 def _plain(value: Any) -> Any:
@@ -103,7 +98,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _tell(comparison: Comparison) -> None:
+def _print_comparison(comparison: Comparison) -> None:
     """Print the differences as text."""
     from rich.table import Table
 

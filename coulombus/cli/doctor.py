@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.common import buses_option, json_option, load, rig_option, say, set_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import CPU, SECONDS
+from coulombus.cli.options import BusesOption, JsonOption, RigOption, SetOption, option, with_options
+from coulombus.cli.rig_options import load
 from coulombus.cli.tables import echo, progress, table_console
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,27 +26,23 @@ WIDTH, INDENT = 80, 8
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@buses_option
-@set_option
-@click.option(
-    "--latency",
-    "latency_s",
-    type=SECONDS,
-    metavar="SECONDS",
-    help="Also measure for this time how late the cycle would wake while every CPU is busy.",
-)
-@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle.  [default: the one that run takes]")
-@click.option("--fix", is_flag=True, help="Print only a shell script with the fixes; nothing is run.")
-@json_option
+@with_options
 def doctor(
-    rig_name: str,
-    bus_names: tuple[str, ...],
-    overrides: tuple[str, ...],
-    latency_s: float | None,
-    cpu: int | None,
-    fix: bool,
-    as_json: bool,
+    rig_name: RigOption,
+    bus_names: BusesOption,
+    overrides: SetOption,
+    latency_s: Annotated[
+        float | None,
+        option(
+            "--latency",
+            "Also measure for this time how late the cycle would wake while every CPU is busy.",
+            type=SECONDS,
+            metavar="SECONDS",
+        ),
+    ],
+    cpu: Annotated[int | None, option("CPU for the cycle.  [default: the one that run takes]", type=CPU)],
+    fix: Annotated[bool, option("Print only a shell script with the fixes; nothing is run.")],
+    as_json: JsonOption,
 ) -> None:
     """Check this PC for a rig: kernel, processors, rights, CAN card, disk, software; nothing is
     changed.
@@ -82,7 +80,7 @@ def doctor(
             elif as_json:
                 print_json([finding.as_dict() for finding in findings])
             else:
-                _tell(findings)
+                _print_findings(findings)
                 if measured is not None:
                     _draw(measured)
 
@@ -104,7 +102,7 @@ def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool)
     return measured, judge(measured, needs)
 
 
-def _tell(findings: Sequence[Finding]) -> None:
+def _print_findings(findings: Sequence[Finding]) -> None:
     import textwrap
 
     width = max(len(finding.check) for finding in findings)
@@ -131,8 +129,8 @@ def _draw(measured: Latency) -> None:
     for name in ("the cycle", *(["cyclictest"] if measured.cyclictest is not None else [])):
         table.add_column(name, justify="right")
         table.add_column("")
-    for late, own, bar, other, beside in bars(measured):
-        table.add_row(late, str(own), bar, *([] if other is None else [str(other), beside]))
+    for late, count, bar, other, beside in bars(measured):
+        table.add_row(late, str(count), bar, *([] if other is None else [str(other), beside]))
     table_console(WIDTH).print(table)
     if measured.reason:
         say(f"coulombus: {measured.reason}: there is no reference to compare with")

@@ -7,23 +7,24 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import quote
 
 import click
 
-from coulombus.cli.common import force_option, json_option, say, verdict
 from coulombus.cli.device_options import (
+    BesideOption,
+    DevicesBusOption,
     LiveLine,
-    beside_option,
-    devices_bus_option,
-    node_argument,
+    NodeArgument,
+    TimeoutOption,
     open_link,
-    timeout_option,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import InputPath, OutputFile
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from coulombus.eds.pdo import PdoLayout
@@ -39,12 +40,14 @@ def eds() -> None:
 
 
 @eds.command("check", epilog=EXIT_STATUS)
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("--node-id", type=click.IntRange(1, 127), default=1, show_default=True, help="Node id for $NODEID.")
-@click.option("--pdos", is_flag=True, help="Draw every PDO that maps something.")
-@click.option("--sarif", is_flag=True, help="SARIF 2.1.0 to stdout, for code hosts and editors.")
-@json_option
-def check_command(files: Sequence[str], node_id: int, pdos: bool, sarif: bool, as_json: bool) -> None:
+@with_options
+def check_command(
+    files: Annotated[Sequence[str], argument(nargs=-1, required=True, metavar="FILE...")],
+    node_id: Annotated[int, option("Node id for $NODEID.", type=click.IntRange(1, 127), default=1)],
+    pdos: Annotated[bool, option("Draw every PDO that maps something.")],
+    sarif: Annotated[bool, option("SARIF 2.1.0 to stdout, for code hosts and editors.")],
+    as_json: JsonOption,
+) -> None:
     """Say everything that is wrong with EDS, DCF, XDD or XDC files, and what is assumed instead.
 
     A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an
@@ -66,8 +69,8 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, sarif: bool, a
         results = [_check(file, node_id) for file in files]
         with verdict(READABLE if all(result["readable"] for result in results) else REFUSED):
             if as_json:
-                kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
-                echo(json.dumps(kept, indent=2))
+                rows = [{key: result[key] for key in result if key != "drawn"} for result in results]
+                echo(json.dumps(rows, indent=2))
             elif sarif:
                 echo(json.dumps(_sarif(results), indent=2))
             else:
@@ -76,11 +79,13 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, sarif: bool, a
 
 
 @eds.command("convert", epilog=EXIT_STATUS)
-@click.argument("a", metavar="A", type=InputPath())
-@click.argument("b", metavar="B", type=OutputFile(".eds", ".dcf", ".xdd", ".xdc"))
-@force_option
-@json_option
-def convert_command(a: Path, b: Path, overwrite: bool, as_json: bool) -> None:
+@with_options
+def convert_command(
+    a: Annotated[Path, argument(metavar="A", type=InputPath())],
+    b: Annotated[Path, argument(metavar="B", type=OutputFile(".eds", ".dcf", ".xdd", ".xdc"))],
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
+) -> None:
     """Write the EDS, DCF, XDD or XDC file A as B, in the form of B's ending.
 
     B has every object with its name, type, access, default, limits, PDO mapping, unit and
@@ -110,10 +115,12 @@ def convert_command(a: Path, b: Path, overwrite: bool, as_json: bool) -> None:
 
 
 @eds.command("diff", epilog=EXIT_STATUS)
-@click.argument("a", metavar="A", type=InputPath())
-@click.argument("b", metavar="B", type=InputPath())
-@json_option
-def diff_command(a: Path, b: Path, as_json: bool) -> None:
+@with_options
+def diff_command(
+    a: Annotated[Path, argument(metavar="A", type=InputPath())],
+    b: Annotated[Path, argument(metavar="B", type=InputPath())],
+    as_json: JsonOption,
+) -> None:
     """Compare two EDS, DCF, XDD or XDC files, object by object.
 
     A line is PLACE SUBJECT: value in A -> value in B. Notations do not count: 0x10 is 16. Ends with
@@ -151,32 +158,27 @@ def _range(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -
 
 
 @eds.command("from-device", epilog=EXIT_STATUS)
-@node_argument
-@devices_bus_option
-@click.option("-o", "--out", type=OutputFile(".eds"), metavar="F.eds", help="Write the file there.  [default: stdout]")
-@click.option(
-    "--range",
-    "ranges",
-    multiple=True,
-    callback=_range,
-    metavar="A-B",
-    help="Only these indices, as 2000-20FF. May be given several times.  [default: 1000-9FFF]",
-)
-@click.option(
-    "--try-access", is_flag=True, help="Write each object's own value back, to see whether it can be written."
-)
-@timeout_option
-@beside_option
-@force_option
+@with_options
 def from_device_command(
-    node_id: int,
-    bus_name: str,
-    out: Path | None,
-    ranges: tuple[tuple[int, int], ...],
-    try_access: bool,
-    timeout_s: float,
-    beside: bool,
-    overwrite: bool,
+    node_id: NodeArgument,
+    bus_name: DevicesBusOption,
+    out: Annotated[
+        Path | None,
+        option("-o", "--out", "Write the file there.  [default: stdout]", type=OutputFile(".eds"), metavar="F.eds"),
+    ],
+    ranges: Annotated[
+        tuple[tuple[int, int], ...],
+        option(
+            "--range",
+            "Only these indices, as 2000-20FF. May be given several times.  [default: 1000-9FFF]",
+            callback=_range,
+            metavar="A-B",
+        ),
+    ],
+    try_access: Annotated[bool, option("Write each object's own value back, to see whether it can be written.")],
+    timeout_s: TimeoutOption,
+    beside: BesideOption,
+    overwrite: OverwriteOption,
 ) -> None:
     """Make an EDS file of a device that has none, by its own answers to SDO.
 

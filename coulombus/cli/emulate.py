@@ -5,16 +5,25 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle, repeated
-from coulombus.cli.common import MODES, faults_option, force_option, json_option, script_option, seed_option
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import CPU, SECONDS, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options
-from coulombus.cli.rig_options import BusesOptions, buses_options
+from coulombus.cli.options import (
+    MODES,
+    FaultsOption,
+    JsonOption,
+    OverwriteOption,
+    ScriptOption,
+    SeedOption,
+    option,
+    with_options,
+    words,
+)
+from coulombus.cli.page_options import PageOptions
+from coulombus.cli.rig_options import BusesOptions, RigOptions
 from coulombus.cli.tables import echo
 from coulombus.system.exit import abandon_stdout
 
@@ -29,20 +38,17 @@ __all__ = ["emulate"]
 class Simulated:
     """Settings of a bus of ``emulate``, from the options."""
 
-    mode: str | None
-    seed: int
-    script: Path | None
-    faults: Path | None
-    unpaced: bool
-    no_node_ids: bool
+    mode: Annotated[
+        str | None,
+        option("Mode whose F_s scales the simulated hand's push.  [default: the last]", type=click.Choice(MODES)),
+    ]
+    script: ScriptOption
+    faults: FaultsOption
+    seed: SeedOption
+    unpaced: Annotated[bool, option("Zero transmission time, for benchmarks only.")]
+    no_node_ids: Annotated[bool, option("The devices have no node id yet: `coulombus lss` gives them theirs.")]
 
-    def words(self) -> list[str]:
-        """Return the command-line words for the processes of several buses."""
-        given = {"--mode": self.mode, "--seed": self.seed, "--script": self.script, "--faults": self.faults}
-        words = [word for option, value in given.items() if value is not None for word in (option, str(value))]
-        return [*words, *(["--unpaced"] if self.unpaced else []), *(["--no-node-ids"] if self.no_node_ids else [])]
-
-    def of(self, rig: Rig) -> dict[str, Any]:
+    def settings(self, rig: Rig) -> dict[str, Any]:
         """Read the files and return the settings of each bus' `SimServer`, by bus."""
         from coulombus.sim_bus.faults.fault_file import read_faults
         from coulombus.sim_bus.network.script import read_script
@@ -57,70 +63,32 @@ class Simulated:
         return {name: {**common, "faults": plan} for name, plan in plans.items()}
 
 
-simulated_options = bundle(
-    "simulated",
-    Simulated,
-    click.option(
-        "--mode",
-        type=click.Choice(MODES),
-        default=None,
-        help="Mode whose F_s scales the simulated hand's push.  [default: the last]",
-    ),
-    script_option,
-    faults_option,
-    seed_option,
-    click.option("--unpaced", is_flag=True, help="Zero transmission time, for benchmarks only."),
-    click.option(
-        "--no-node-ids", is_flag=True, help="The devices have no node id yet: `coulombus lss` gives them theirs."
-    ),
-)
-
-
 @dataclass(frozen=True)
 class Realtime:
     """The scheduling of the bus, from the options."""
 
-    priority: int
-    cpu: int | None
-
-    def words(self) -> list[str]:
-        """Return the command-line words for the processes of several buses."""
-        return ["--priority", str(self.priority), *([] if self.cpu is None else ["--cpu", str(self.cpu)])]
-
-
-realtime_options = bundle(
-    "realtime",
-    Realtime,
-    click.option(
-        "--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO priority; 0: none."
-    ),
-    click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU."),
-)
+    priority: Annotated[int, option("SCHED_FIFO priority; 0: none.", type=click.IntRange(0, 99), default=79)]
+    cpu: Annotated[int | None, option("Keep the bus on this CPU.", type=CPU)]
 
 
 @click.command(epilog=EXIT_STATUS)
-@buses_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
-@click.option(
-    "--record",
-    type=OutputFile(".pcapng"),
-    metavar="F.pcapng",
-    help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` checks it against virtual time.",
-)
-@force_option
-@simulated_options
-@realtime_options
-@page_options
-@json_option
+@with_options
 def emulate(
-    chosen: BusesOptions,
-    seconds: float | None,
-    record: Path | None,
-    overwrite: bool,
+    bus_options: BusesOptions,
+    seconds: Annotated[float | None, option("End after this many seconds.  [default: never]", type=SECONDS)],
+    record: Annotated[
+        Path | None,
+        option(
+            "Record every frame there, at its end of frame in the bus's own time; `replay --virtual` checks it against virtual time.",
+            type=OutputFile(".pcapng"),
+            metavar="F.pcapng",
+        ),
+    ],
+    overwrite: OverwriteOption,
     simulated: Simulated,
     realtime: Realtime,
     page: PageOptions,
-    as_json: bool,
+    as_json: JsonOption,
 ) -> None:
     """Serve a bus with the simulated nodes and the rig on it, in real time.
 
@@ -140,14 +108,14 @@ def emulate(
         from coulombus.sim_bus.server.rig_server import SimServer
         from coulombus.sim_bus.server.sim_command import run_sim
 
-        rig = load_rig(chosen.rig_name, chosen.overrides)
-        addresses = chosen.addresses(rig)
-        settings = simulated.of(rig)
+        rig = load_rig(bus_options.rig_name, bus_options.overrides)
+        addresses = bus_options.addresses(rig)
+        settings = simulated.settings(rig)
         virtual = next(iter(addresses.values())).is_virtual
-        if chosen.channel is not None:
+        if bus_options.channel is not None:
             if rig.one_cycle and len(rig.channels) > 1:
-                raise click.UsageError(f"--channel {chosen.channel}: the joints of an arm are simulated together")
-            rig = rig.on(chosen.channel)
+                raise click.UsageError(f"--channel {bus_options.channel}: the joints of an arm are simulated together")
+            rig = rig.on(bus_options.channel)
         if record is not None and (simulated.unpaced or not rig.one_cycle or not virtual):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
@@ -155,10 +123,9 @@ def emulate(
         if len(rig.channels) > 1:
             page.refuse_several()
         if not rig.one_cycle:
-            words = ["emulate", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
-            words += [] if seconds is None else ["--seconds", str(seconds)]
-            words += repeated("--set", chosen.overrides)
-            sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
+            child = ["emulate", *words(bus_options, RigOptions), *words(realtime), *words(simulated)]
+            child += [] if seconds is None else ["--seconds", str(seconds)]
+            sys.exit(_sim_buses([*child, "--json"] if as_json else child, addresses))
         address = next(iter(addresses.values()))
 
         def make() -> SimServer:
@@ -166,17 +133,17 @@ def emulate(
                 rig, tuple(addresses.values()), record=record, force=overwrite, **settings[rig.channels[0]]
             )
 
-        with page.beside(chosen, address, "bus"):
+        with page.beside(bus_options, address, "bus"):
             run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)
 
 
-def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
+def _sim_buses(child: list[str], addresses: dict[str, BusAddress]) -> int:
     """Serve several buses, a process each; their output lines are forwarded."""
     from coulombus.host.run.buses import supervise
 
     buses = supervise(
         list(addresses),
-        lambda channel: [*words, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"],
+        lambda channel: [*child, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"],
         lambda channel, line: _pass_on(line),
     )
     return max(bus.status for bus in buses)

@@ -1,6 +1,9 @@
-"""Errors and signals that end a verb, as texts and exit statuses.
+"""Errors and signals that end a verb, as texts and exit statuses; the statuses have their single definition here.
 
-They are printed to stderr, and with --json also to stdout.
+Errors are printed to stderr, and with --json also to stdout. An exception that ends a verb has its status as
+`exit_status`. A closed reader of stdout (``| head``) does not change the status: a verb with a verdict still ends
+with it, and one that only prints (`decode`, `watch`, `dbc`) ends with 0. `emulate` and `node` continue until they are
+stopped.
 """
 
 from __future__ import annotations
@@ -15,13 +18,13 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import click
 
-from coulombus.cli.exit_status import FAULT
 from coulombus.cli.tables import echo
 from coulombus.system.c_library import NeedsLinux
 from coulombus.system.errors import CoulombusError
@@ -31,12 +34,39 @@ from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status
 
 __all__ = [
     "EXIT_STATUS",
+    "STATUSES",
     "Failure",
     "Verbs",
     "errors",
     "print_json",
     "remark",
 ]
+
+FAULT = 70
+"""Internal error: EX_SOFTWARE of sysexits.h.
+
+It differs from all statuses on a rig or a file.
+"""
+
+STATUSES: Mapping[int, str] = MappingProxyType(
+    {
+        0: "ok",
+        1: "a check failed",
+        2: "usage: a wrong option or argument, a recording that cannot be read, a file that cannot be written, no memory left",
+        3: "configuration: any file missing; rig, EDS, law, motion, fault or script file wrong; a device that differs from its files",
+        4: "bus unavailable, or a system other than Linux where Linux is needed",
+        5: "a node is missing",
+        6: "a node aborted an SDO transfer, or its response is invalid",
+        7: "safety: arming refused, or a trip led to the safe state (for example, a recording that cannot be continued)",
+        8: "deadlines or frames lost beyond the limit",
+        FAULT: "internal error, with a traceback: please report it",
+        129: "the terminal was closed (SIGHUP); `emulate`, `node`, `watch` and `bridge` end with 0 by any of these signals once they run",
+        130: "interrupted by Ctrl-C (SIGINT)",
+        131: "interrupted by Ctrl-Backslash (SIGQUIT)",
+        143: "terminated (SIGTERM)",
+    }
+)
+"""Status -> meaning."""
 
 EXIT_STATUS = "Exit status: 0 is ok; 'coulombus help exit' lists the others."
 """The last line of a verb's help."""
@@ -97,7 +127,7 @@ class Verbs(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb."""
 
-        def tell(text: str, status: int) -> None:
+        def print_error(text: str, status: int) -> None:
             if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
                 with suppress(OSError):  # a broken stdout is reported on stderr
                     echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
@@ -122,10 +152,10 @@ class Verbs(click.Group):
         except Failure as failure:
             if failure.status == FAULT and raised():  # a consequence of the signal's exception
                 failure = _by_signal(raised())
-            tell(str(failure), failure.status)
+            print_error(str(failure), failure.status)
             _end(failure)
         except click.ClickException as error:
-            tell(error.format_message(), error.exit_code)
+            print_error(error.format_message(), error.exit_code)
             _refuse(error)
 
 
@@ -154,10 +184,10 @@ def _option_meant(error: click.UsageError) -> str:
     """Return the suggested or missing option as the end of the error's sentence, or ""."""
     verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found no similar one
     if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
-        known = verb[1].lower().removesuffix("_command").replace("_", "-")
-        if known == "version":
-            known = "--version"
-        return f" Did you mean '{known}'?" if known in (*error.ctx.command.commands, "--version") else ""
+        name = verb[1].lower().removesuffix("_command").replace("_", "-")
+        if name == "version":
+            name = "--version"
+        return f" Did you mean '{name}'?" if name in (*error.ctx.command.commands, "--version") else ""
     if isinstance(error, click.MissingParameter) and error.param is not None and "--bus" in error.param.opts:
         from coulombus.wire.address import live_bus_names
 
@@ -165,8 +195,8 @@ def _option_meant(error: click.UsageError) -> str:
         served = f"These are served: {names}" if names else "No virtual bus is served; `coulombus emulate` serves one"
         return f" {served}. A CAN interface is --bus socketcan:can0."
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
-        given = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
-        near = difflib.get_close_matches(given, map(str, error.param.type.choices), 1, 0.6)
+        choice = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
+        near = difflib.get_close_matches(choice, map(str, error.param.type.choices), 1, 0.6)
         return f" Did you mean '{near[0]}'?" if near else ""
     comma = re.match(r"'?([-+]?\d+),(\d+)'?\b.*(a number|float|integer|range)", error.message)
     if isinstance(error, click.BadParameter) and comma:
@@ -176,19 +206,19 @@ def _option_meant(error: click.UsageError) -> str:
     if extra is None or error.ctx is None:
         return ""
     word = extra[1]
-    known = {option: param for param in error.ctx.command.params for option in param.opts}
+    params = {option: param for param in error.ctx.command.params for option in param.opts}
     words = error.ctx.meta.get(WORDS, ())
     place = words.index(word) if word in words else 0
     if words[max(0, place - 2) : place - 1] == ("--set",) and "=" not in words[place - 1]:
         return f"; did you mean --set {words[place - 1]}={word}?"
-    modes = getattr(known["--mode"].type, "choices", ()) if "--mode" in known else ()
+    modes = getattr(params["--mode"].type, "choices", ()) if "--mode" in params else ()
     kinds = (
         ("--bus", re.match(r"(coulombus|socketcan):", word)),
         ("--record", word.endswith(".pcapng")),
         ("--mode", word in modes),
         ("--rig", word.endswith(".toml") or word in ("bench", "paper", "plane", "two_axes")),
     )
-    meant = next((option for option, fits in kinds if fits and option in known), None)
+    meant = next((option for option, fits in kinds if fits and option in params), None)
     return f"; did you mean {meant} {word}?" if meant else ""
 
 

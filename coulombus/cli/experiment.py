@@ -14,15 +14,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import UNCHECKED_PATH
+from coulombus.cli.options import BusOption, JsonOption, SharedMachineOption, argument, option, with_options, words
 from coulombus.cli.page_options import tornado_needed
+from coulombus.cli.rig_options import check_shared_machine
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say, verdict
 from coulombus.system.keyboard import in_foreground
 
 if TYPE_CHECKING:
@@ -40,80 +42,51 @@ LAST_S = 0.5
 
 
 @dataclass(frozen=True)
-class Where:
+class BusOfStudy:
     """The bus of a study's displays, from the options."""
 
-    bus_name: str | None
-    virtual: bool
-    shared_machine: bool
-
-    def words(self) -> list[str]:
-        """Return the command-line words of the options."""
-        words = ["--virtual"] if self.virtual else [] if self.bus_name is None else ["--bus", self.bus_name]
-        return words + ["--shared-machine"] * self.shared_machine
+    bus_name: BusOption
+    virtual: Annotated[bool, option("Display in virtual time, on the simulated rig.")]
+    shared_machine: SharedMachineOption
 
 
 @dataclass(frozen=True)
 class Answering:
     """Source, method and reporting of the answers, from the options."""
 
-    observer: float | None
-    felt: bool
-    page: bool
-    port: int | None
-    lsl: bool
-
-    def words(self) -> list[str]:
-        """Return the command-line words of the options."""
-        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"] + ["--felt"] * self.felt
-        words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
-        return words + ["--lsl"] * self.lsl
-
-
-where_options = bundle(
-    "where",
-    Where,
-    bus_option,
-    click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig."),
-    shared_machine_option,
-)
-answering_options = bundle(
-    "answering",
-    Answering,
-    click.option(
-        "--observer",
-        type=click.FloatRange(0, min_open=True),
-        metavar="JND",
-        help="A simulated observer of this just noticeable difference answers.",
-    ),
-    click.option("--felt", is_flag=True, help="The simulated observer judges the recorded torque; its JND is in Nm."),
-    click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
-    click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
-    click.option("--lsl", is_flag=True, help="Send markers and signals by the lab streaming layer."),
-)
+    observer: Annotated[
+        float | None,
+        option(
+            "A simulated observer of this just noticeable difference answers.",
+            type=click.FloatRange(0, min_open=True),
+            metavar="JND",
+        ),
+    ]
+    felt: Annotated[bool, option("The simulated observer judges the recorded torque; its JND is in Nm.")]
+    page: Annotated[bool, option("Ask in a browser on this machine; its address is printed.")]
+    port: Annotated[int | None, option("The page's port.  [default: a free one]", type=click.IntRange(0, 65535))]
+    lsl: Annotated[bool, option("Send markers and signals by the lab streaming layer.")]
 
 
 @click.command("experiment", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(readable=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(readable=False, file_okay=False, path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of the study.",
-)
-@click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
-@where_options
-@answering_options
-@json_option
+@with_options
 def experiment_command(
-    file: Path,
-    out: Path,
-    subject: str,
-    where: Where,
+    file: Annotated[Path, argument(type=UNCHECKED_PATH)],
+    out: Annotated[
+        Path,
+        option(
+            "-o",
+            "--out",
+            "Folder of the study.",
+            type=click.Path(readable=False, file_okay=False, path_type=Path),
+            required=True,
+            metavar="DIR",
+        ),
+    ],
+    subject: Annotated[str, option("The subject, by letters and digits: S01.", required=True, metavar="S")],
+    where: BusOfStudy,
     answering: Answering,
-    as_json: bool,
+    as_json: JsonOption,
 ) -> None:
     """Show a study's trials to a subject, ask, and keep the answers.
 
@@ -144,10 +117,10 @@ def experiment_command(
         if answering.port is not None and not answering.page:
             raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
-        known = "a person"
+        observer = "a person"
         if answering.observer is not None:
-            known = f"simulated, JND {answering.observer:g}" + " Nm felt" * answering.felt
-        meta = {"observer": known}
+            observer = f"simulated, JND {answering.observer:g}" + " Nm felt" * answering.felt
+        meta = {"observer": observer}
         if answering.observer is None:
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
         displays, meta["bus"] = _displays(study, where)
@@ -157,13 +130,13 @@ def experiment_command(
                 came = run_session(session, people)
         with verdict(came.exit_status):
             if not came.complete:
-                words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
-                words += [*answering.words(), *where.words()]
-                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(words)}")
-            _tell(came, out, as_json)
+                again = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
+                again += [*words(answering), *words(where)]
+                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to continue: {shlex.join(again)}")
+            _print_session(came, out, as_json)
 
 
-def _displays(study: Study, where: Where) -> tuple[Displays, str]:
+def _displays(study: Study, where: BusOfStudy) -> tuple[Displays, str]:
     from coulombus.lab.study.displays import BusDisplays, VirtualDisplays
     from coulombus.rigs.overrides import shared_machine
     from coulombus.wire.address import default_address, parse_address
@@ -213,7 +186,7 @@ def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
         yield _at_the_terminal(study)
 
 
-def _tell(session: Session, out: Path, as_json: bool) -> None:
+def _print_session(session: Session, out: Path, as_json: bool) -> None:
     if as_json:
         print_json(session.as_dict())
     else:
@@ -229,18 +202,18 @@ def _at_the_terminal(study: Study) -> People:
     def go_on(text: str) -> bool:
         say(text)
         while True:
-            given = _key("Continue? y or q:", "yq")
-            if given in ("y", "q", None):
-                return given == "y"
+            answer = _key("Continue? y or q:", "yq")
+            if answer in ("y", "q", None):
+                return answer == "y"
 
     def ask(trial: Trial) -> str | None:
         expected = "a number of 0 or more" if trial.reference is None else "1 or 2"
         while True:
-            given = _key(f"{study.file.question} ({expected}; q: stop)", "" if trial.reference is None else "12q")
-            if given is None or given == "q":
+            answer = _key(f"{study.file.question} ({expected}; q: stop)", "" if trial.reference is None else "12q")
+            if answer is None or answer == "q":
                 return None
-            if is_answer(given, trial):
-                return given
+            if is_answer(answer, trial):
+                return answer
 
     return People(tell=say, ask=ask, go_on=go_on, clock=time.monotonic)
 
@@ -251,8 +224,8 @@ def _key(text: str, keys: str) -> str | None:
     """
     echo(f"{text} ", err=True, nl=False)
     if not (keys and in_foreground()):
-        given = sys.stdin.readline()
-        return given.strip() if given else None
+        answer = sys.stdin.readline()
+        return answer.strip() if answer else None
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     try:

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import (
-    adapter_option,
-    file_channel_option,
-    force_option,
-    json_option,
-    load,
-    log_eds_option,
-    printed,
-    say,
-    with_adapter_options,
-)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
-from coulombus.cli.rig_options import eds_files_of
+from coulombus.cli.option_types import SECONDS, OutputFile
+from coulombus.cli.options import (
+    ADAPTER,
+    FileChannelOption,
+    JsonOption,
+    LogEdsOption,
+    OptionalRecordingArgument,
+    OverwriteOption,
+    SpanOption,
+    argument,
+    option,
+    with_adapter_options,
+    with_options,
+)
+from coulombus.cli.rig_options import eds_files_of, load
 from coulombus.cli.tables import PROSE, echo, on_terminal
+from coulombus.system.exit import printed, say
 
 if TYPE_CHECKING:
     from coulombus.eds.eds_folder import EdsFiles
@@ -38,23 +40,16 @@ COURSE = 29
 """Column of the text in a line of an incident's course."""
 
 
-def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
-
-    try:
-        return (None, None) if text is None else parse_span(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-
-
 @dataclass(frozen=True)
 class Knowledge:
     """Rig, EDS files and span for the explanation, from the options."""
 
-    rig_name: str | None
-    eds: tuple[str, ...]
-    span: tuple[float | None, float | None]
-    channels: tuple[str, ...]
+    rig_name: Annotated[
+        str | None, option("--rig", "Names and PDO maps of this rig.  [default: the attached one]", metavar="R")
+    ]
+    eds: LogEdsOption
+    channels: FileChannelOption
+    span: SpanOption
 
     def load(self) -> tuple[Rig | None, EdsFiles]:
         """Load rig and EDS files; report unreadable files of a folder."""
@@ -65,55 +60,31 @@ class Knowledge:
 class ExplainOutputs:
     """Output of the explanation, from the options."""
 
-    report: Path | None
-    overwrite: bool
-    as_json: bool
-    check: bool
-    nodes: bool
-
-
-knowledge_options = bundle(
-    "knowledge",
-    Knowledge,
-    click.option("--rig", "rig_name", metavar="R", help="Names and PDO maps of this rig.  [default: the attached one]"),
-    log_eds_option,
-    file_channel_option,
-    click.option(
-        "--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]"
-    ),
-)
-output_options = bundle(
-    "outputs",
-    ExplainOutputs,
-    click.option(
-        "--report", type=OutputFile(".html", ".md"), metavar="F.html", help="Write a report, HTML or Markdown."
-    ),
-    force_option,
-    json_option,
-    click.option("--check", is_flag=True, help="End with 1 if anything is unresolved."),
-    click.option("--nodes", is_flag=True, help="Print the nodes instead: identity, EDS file, figures."),
-)
+    report: Annotated[
+        Path | None, option("Write a report, HTML or Markdown.", type=OutputFile(".html", ".md"), metavar="F.html")
+    ]
+    overwrite: OverwriteOption
+    as_json: JsonOption
+    check: Annotated[bool, option("End with 1 if anything is unresolved.")]
+    nodes: Annotated[bool, option("Print the nodes instead: identity, EDS file, figures.")]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=InputPath())
-@click.argument("number", required=False, type=click.IntRange(1), metavar="[N]")
-@click.option(
-    "--bus",
-    "bus_name",
-    metavar="B",
-    callback=with_adapter_options,
-    help="A live bus instead of FILE: coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.",
-)
-@adapter_option
-@click.option("--seconds", type=SECONDS, default=None, help="How long to listen to a bus.  [default: until Ctrl-C]")
-@knowledge_options
-@output_options
+@with_options
 def explain(
-    file: Path | None,
-    number: int | None,
-    bus_name: str | None,
-    seconds: float | None,
+    file: OptionalRecordingArgument,
+    number: Annotated[int | None, argument(required=False, type=click.IntRange(1), metavar="[N]")],
+    bus_name: Annotated[
+        str | None,
+        option(
+            "--bus",
+            "A live bus instead of FILE: coulombus:NAME, socketcan:IF or can:INTERFACE:CHANNEL.",
+            metavar="B",
+            callback=with_adapter_options,
+        ),
+        ADAPTER,
+    ],
+    seconds: Annotated[float | None, option("How long to listen to a bus.  [default: until Ctrl-C]", type=SECONDS)],
     knowledge: Knowledge,
     outputs: ExplainOutputs,
 ) -> None:
@@ -160,12 +131,12 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
     from coulombus.recording.maps.known_bus import KnownBus
     from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-    def tell(explanation: Explanation, incident: Incident) -> None:
+    def print_news(explanation: Explanation, incident: Incident) -> None:
         if not as_json:
             say(news(explanation, incident))
 
     known = KnownBus(rig, files)
-    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), tell, known=known, seconds=seconds)
+    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), print_news, known=known, seconds=seconds)
 
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:

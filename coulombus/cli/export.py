@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import OutputFile
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.option_types import OutputFile, output_named_after
+from coulombus.cli.options import OverwriteOption, RecordingArgument, SignalsOption, option, with_options
+from coulombus.cli.rig_options import LogOptions
 from coulombus.cli.tables import progress
+from coulombus.system.exit import say, verdict
 
 __all__ = ["export_command"]
 
@@ -46,29 +47,29 @@ def _kind_of(out: Path | None, suffixes: Mapping[str, str]) -> str:
 
 
 @click.command("export", epilog=EXIT_STATUS)
-@recording_argument
-@click.option("--to", "kind", type=click.Choice(KINDS), help="Format to write.  [default: that of --out's ending]")
-@signals_option
-@click.option(
-    "--grid",
-    "grid_ns",
-    type=_Time(),
-    metavar="TIME",
-    help="A row each 1ms (us, ms, s), values held.  [default: a row for each frame of a PDO, as it came]",
-)
-@click.option("-o", "--out", type=OutputFile(), metavar="F", help="Output file.  [default: FILE, with another ending]")
-@log_options
-@force_option
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON to stdout.")
+@with_options
 def export_command(
-    file: Path,
-    kind: str | None,
-    signals: tuple[str, ...] | None,
-    grid_ns: int | None,
-    out: Path | None,
+    file: RecordingArgument,
+    kind: Annotated[
+        str | None, option("--to", "Format to write.  [default: that of --out's ending]", type=click.Choice(KINDS))
+    ],
+    signals: SignalsOption,
+    grid_ns: Annotated[
+        int | None,
+        option(
+            "--grid",
+            "A row each 1ms (us, ms, s), values held.  [default: a row for each frame of a PDO, as it came]",
+            type=_Time(),
+            metavar="TIME",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        option("-o", "--out", "Output file.  [default: FILE, with another ending]", type=OutputFile(), metavar="F"),
+    ],
     log: LogOptions,
-    overwrite: bool,
-    as_json: bool,
+    overwrite: OverwriteOption,
+    as_json: Annotated[bool, option("--json", "Print what was written as JSON to stdout.")],
 ) -> None:
     """Write a recording as other programs read it: signals by name in SI units (csv, parquet, mf4,
     mcap, hdf5, mat), or whole frames (candump, asc, blf).
@@ -87,19 +88,13 @@ def export_command(
     with errors():
         from coulombus.recording.export.export import KINDS as SUFFIXES
         from coulombus.recording.export.export import export
-        from coulombus.recording.output_file import named_after, reason_against
 
         if kind is None:
             kind = _kind_of(out, SUFFIXES)
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
         files = log.files()
-        place = out or named_after(file, SUFFIXES[kind])
-        reason = reason_against(
-            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
-        )
-        if reason is not None:
-            raise click.UsageError(reason)
+        place = out or output_named_after(file, SUFFIXES[kind], overwrite)
         with progress(not as_json, "exported") as report:
             exported = export(
                 file,

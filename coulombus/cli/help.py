@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import click
 
-from coulombus.cli.errors import EXIT_STATUS
-from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.errors import EXIT_STATUS, STATUSES
 from coulombus.cli.main import SECTIONS, main
+from coulombus.cli.options import argument, with_options
 from coulombus.cli.tables import echo
 from coulombus.system.wrap_text import hanging
 
@@ -19,9 +21,12 @@ stdout:
 
 
 @click.command("help", epilog=EXIT_STATUS)
-@click.argument("topic", nargs=-1, metavar="[COMMAND [SUBCOMMAND] | TRIP | EMCY | all | exit]")
+@with_options
 @click.pass_context
-def help_(context: click.Context, topic: tuple[str, ...]) -> None:
+def help_(
+    context: click.Context,
+    topic: Annotated[tuple[str, ...], argument(nargs=-1, metavar="[COMMAND [SUBCOMMAND] | TRIP | EMCY | all | exit]")],
+) -> None:
     """Explain a COMMAND, a TRIP or an EMCY code; list all commands (all), or the exit statuses (exit).
 
     \b

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import SECONDS, InputPath
-from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
+from coulombus.cli.option_types import SECONDS
+from coulombus.cli.options import JsonOption, OptionalRecordingArgument, option, with_options
+from coulombus.cli.rig_options import WatchedBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed, say
 
 __all__ = ["hz"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=InputPath())
-@watched_bus_options
-@click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
-@json_option
+@with_options
 def hz(
-    file: Path | None,
-    chosen: WatchedBusOptions,
-    seconds: float,
-    as_json: bool,
+    file: OptionalRecordingArgument,
+    bus_options: WatchedBusOptions,
+    seconds: Annotated[float, option("How long to listen to a bus.", type=SECONDS, default=5.0)],
+    as_json: JsonOption,
 ) -> None:
     """Measure rate and jitter of each identifier, and how long after SYNC the PDOs come.
 
@@ -43,15 +41,15 @@ def hz(
         from coulombus.monitor.timing import as_dict, as_lines, listen, recorded, recorded_bare, timing
 
         if file is not None:
-            if chosen.bus_name is not None:
+            if bus_options.bus_name is not None:
                 raise click.UsageError("a file and --bus: give one of them")
             from coulombus.recording.maps.known_bus import KnownBus
             from coulombus.recording.reading import blocks, has_rig
 
-            given = bool(chosen.overrides) or (chosen.names_rig and not chosen.eds)
+            with_rig = bool(bus_options.overrides) or (bus_options.names_rig and not bus_options.eds)
             where, source, lost = str(file), "the recording's", None
-            if given or (not chosen.eds and has_rig(file)):
-                recording = blocks(file, chosen.load() if given else None, chosen.channel)
+            if with_rig or (not bus_options.eds and has_rig(file)):
+                recording = blocks(file, bus_options.load() if with_rig else None, bus_options.channel)
                 rig = recording.rig
                 by_bus = {
                     channel: (KnownBus(rig.on(channel)), stamps) for channel, stamps in recorded(recording).items()
@@ -59,14 +57,14 @@ def hz(
                 remark(recording.remarks)
             else:
                 remarks: list[str] = []
-                by_bus = {"": recorded_bare(file, chosen.channel, KnownBus(eds=chosen.files()), remarks)}
+                by_bus = {"": recorded_bare(file, bus_options.channel, KnownBus(eds=bus_options.files()), remarks)}
                 remark(remarks)
         else:
-            known, address = chosen.known(chosen.bus_name)
+            known_bus, address = bus_options.known(bus_options.bus_name)
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
-            by_bus = {"": (known, stamps)}
+            by_bus = {"": (known_bus, stamps)}
             where, source = str(address), stamps.source
         rows = {bus: timing(*of_bus) for bus, of_bus in by_bus.items()}
         if as_json:

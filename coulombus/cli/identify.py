@@ -2,42 +2,127 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import file_channel_option, force_option, json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
-from coulombus.cli.option_types import PICTURE, InputPath
+from coulombus.cli.option_types import PICTURE
+from coulombus.cli.options import (
+    FileChannelOption,
+    JsonOption,
+    OverwriteOption,
+    RecordingArgument,
+    option,
+    with_options,
+)
 from coulombus.cli.tables import echo, on_terminal
+from coulombus.system.exit import printed, say
+
+if TYPE_CHECKING:
+    from coulombus.recording.signals import Source
 
 __all__ = ["identify"]
 
 
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """A recording or a table, the model, and the form of the result."""
+
+    file: RecordingArgument
+    rig_name: Annotated[str | None, option("--rig", "Decode with this rig instead of the attached one.", metavar="R")]
+    figure: Annotated[
+        Path | None,
+        option("--picture", "--figure", "Write the plot there (.png, .svg, .pdf).", type=PICTURE, metavar="F"),
+    ]
+    channels: FileChannelOption
+    overwrite: OverwriteOption
+    axis: Annotated[str | None, option("Axis of a rig with several.", metavar="A")]
+    law: Annotated[str | None, option("Fit this law's parameters instead.", metavar="NAME")]
+    columns: Annotated[
+        tuple[str, ...], option("--column", "Of a table: t, angle, torque, brake or load.", metavar="C=NAME")
+    ]
+    units: Annotated[tuple[str, ...], option("--unit", "Of a table: the unit of a column.", metavar="C=UNIT")]
+    ratio: Annotated[
+        float | None, option("Of a table: motor turns for one of the angle; finds cogging.", type=float, metavar="N")
+    ]
+    iron: Annotated[bool, option("Fit the magnetic hysteresis of the brake instead.")]
+    overrides: Annotated[tuple[str, ...], option("--set", "With --law: hold a parameter at a value.", metavar="KEY=V")]
+    target: Annotated[
+        str | None, option("--to", "Print a MuJoCo model of one hinge instead.", type=click.Choice(["mjcf"]))
+    ]
+    as_json: JsonOption
+
+    def check(self, *, table: bool) -> None:
+        """Refuse incompatible options, and those of the other kind of file.
+
+        Raises
+        ------
+        click.UsageError
+            It says which option, and why.
+        """
+        if self.target is not None:
+            if self.iron or self.as_json or self.figure is not None:
+                raise click.UsageError("--to goes with none of --iron, --json and --figure")
+            if self.law not in (None, "lugre"):
+                raise click.UsageError(f"MuJoCo has no law {self.law}: give --law lugre, or leave it out")
+        of_recording = {"--rig": self.rig_name, "--axis": self.axis, "--channel": self.channels, "--iron": self.iron}
+        of_table = {"--column": self.columns, "--unit": self.units, "--ratio": self.ratio}
+        others = of_recording if table else of_table
+        superfluous = [name for name, value in others.items() if value not in (None, (), False)]
+        if superfluous:
+            kinds = ("a table", "a recording") if table else ("a recording", "a table")
+            raise click.UsageError(f"{self.file} is {kinds[0]}; {superfluous[0]} is for {kinds[1]}: leave it out")
+        if self.iron and (self.figure is not None or self.law is not None or self.overrides):
+            raise click.UsageError("--iron goes with none of --figure, --law and --set")
+        if self.law is not None and self.figure is not None:
+            raise click.UsageError("--figure is of the fit without --law")
+        if self.law is None and self.overrides:
+            raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
+
+    @contextmanager
+    def recorded_axis(self) -> Iterator[Source]:
+        """Yield the axis of the recording; print the remarks on it at the end, be it an error."""
+        from coulombus.recording.reading import blocks
+        from coulombus.rigs.rig import load_rig
+
+        rig = None if self.rig_name is None else load_rig(self.rig_name)
+        axis = blocks(self.file, rig, self.channels).one_axis(self.axis)
+        try:
+            yield axis
+        finally:
+            remark(axis.remarks)
+
+    def write_figure(self, fit: Any) -> None:
+        """Draw a fit, if that is requested."""
+        if self.figure is None:
+            return
+        from coulombus.analysis.figures.rig import write_identification
+        from coulombus.recording.output_file import new_file
+
+        with new_file(self.figure, force=self.overwrite) as path:
+            write_identification(path, fit)
+        say(f"figure: {self.figure}")
+
+    def print_fit(self, fit: Any, lines: Iterable[str], mjcf: Callable[[], str]) -> None:
+        """Print a fit as its lines, as JSON, or as a MuJoCo model."""
+        with printed():
+            if self.target is not None:
+                echo(mjcf())
+            elif self.as_json:
+                print_json(fit.as_dict())
+            else:
+                for line in "\n".join(lines).split("\n"):
+                    echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
+
+
 @click.command("identify", epilog=EXIT_STATUS)
-@click.argument("file", type=InputPath())
-@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
-@click.option(
-    "--picture", "--figure", "figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf)."
-)
-@file_channel_option
-@force_option
-@click.option("--axis", metavar="A", help="Axis of a rig with several.")
-@click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
-@click.option(
-    "--column", "columns", multiple=True, metavar="C=NAME", help="Of a table: t, angle, torque, brake or load."
-)
-@click.option("--unit", "units", multiple=True, metavar="C=UNIT", help="Of a table: the unit of a column.")
-@click.option("--ratio", type=float, metavar="N", help="Of a table: motor turns for one of the angle; finds cogging.")
-@click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
-@click.option("--to", "target", type=click.Choice(["mjcf"]), help="Print a MuJoCo model of one hinge instead.")
-@json_option
-def identify(
-    file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, **options: Any
-) -> None:
+@with_options
+def identify(options: IdentifyOptions) -> None:
     """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the
     data carry it.
 
@@ -67,162 +152,65 @@ def identify(
       coulombus identify damper.pcapng --iron
       coulombus identify strokes.csv --law lugre --to mjcf > joint.xml
     """
-    as_json = options["as_json"]
-    if options["target"] is not None:
-        if options["iron"] or as_json or figure is not None:
-            raise click.UsageError("--to goes with none of --iron, --json and --figure")
-        if options["law"] not in (None, "lugre"):
-            raise click.UsageError(f"MuJoCo has no law {options['law']}: give --law lugre, or leave it out")
-    table = _is_table(file)
-    _check_kind(file, table, {"--rig": rig_name, "--axis": axis}, options)
-    if options["iron"]:
-        if figure is not None or options["law"] is not None or options["overrides"]:
-            raise click.UsageError("--iron goes with none of --figure, --law and --set")
-        with errors():
-            _identify_iron(file, rig_name, axis, options["channels"], as_json=as_json)
-        return
-    if options["law"] is not None:
-        if figure is not None:
-            raise click.UsageError("--figure is of the fit without --law")
-        with errors():
-            _identify_law(file, table, rig_name, axis, options)
-        return
-    if options["overrides"]:
-        raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
-    if table:
-        with errors():
-            _identify_table(file, figure, overwrite, options)
-        return
     with errors():
-        from coulombus.recording.friction import identify as friction
-        from coulombus.recording.output_file import new_file
-        from coulombus.recording.reading import blocks
-        from coulombus.rigs.rig import load_rig
+        from coulombus.recording.friction.columns import is_table
 
-        recording = blocks(file, None if rig_name is None else load_rig(rig_name), options["channels"])
-        seen = recording.one_axis(axis)
-        try:
-            fit = friction.identify(seen)
-        finally:
-            remark(seen.remarks)
-        if figure is not None:
-            from coulombus.analysis.figures.rig import write_identification
-
-            with new_file(figure, force=overwrite) as path:
-                write_identification(path, fit)
-            say(f"figure: {figure}")
-        with printed():
-            if options["target"] is not None:
-                _print_mjcf(fit.device, file)
-            elif as_json:
-                print_json(fit.as_dict())
-            else:
-                _print(friction.lines(fit))
-
-
-def _is_table(file: Path) -> bool:
-    from coulombus.recording.friction.columns import is_table
-
-    with errors():
-        return is_table(file)
-
-
-def _check_kind(file: Path, table: bool, of_recording: dict[str, Any], options: dict[str, Any]) -> None:
-    """Refuse the options that the other kind of file has.
-
-    Raises
-    ------
-    click.UsageError
-        It says which option, and what the file is.
-    """
-    of_recording |= {"--channel": options["channels"], "--iron": options["iron"]}
-    of_table = {"--column": options["columns"], "--unit": options["units"], "--ratio": options["ratio"]}
-    given = [name for name, value in (of_recording if table else of_table).items() if value not in (None, (), False)]
-    if given:
-        kinds = ("a table", "a recording") if table else ("a recording", "a table")
-        raise click.UsageError(f"{file} is {kinds[0]}; {given[0]} is for {kinds[1]}: leave it out")
-
-
-def _identify_table(file: Path, figure: Path | None, overwrite: bool, options: dict[str, Any]) -> None:
-    from coulombus.recording.friction.columns import read_table
-    from coulombus.recording.friction.table_identify import identify_table, table_lines
-    from coulombus.recording.output_file import new_file
-
-    table = read_table(file, options["columns"], options["units"])
-    fit = identify_table(table, options["ratio"])
-    if figure is not None:
-        from coulombus.analysis.figures.rig import write_identification
-
-        with new_file(figure, force=overwrite) as path:
-            write_identification(path, fit.identification)
-        say(f"figure: {figure}")
-    with printed():
-        if options["target"] is not None:
-            _print_mjcf(fit.identification.device, file)
-        elif options["as_json"]:
-            print_json(fit.as_dict())
+        table = is_table(options.file)
+        options.check(table=table)
+        if options.iron:
+            _identify_iron(options)
+        elif options.law is not None:
+            _identify_law(options, options.law, table)
+        elif table:
+            _identify_table(options)
         else:
-            _print(table_lines(fit))
+            _identify_recording(options)
 
 
-def _print_mjcf(fit: Any, file: Path) -> None:
+def _identify_recording(options: IdentifyOptions) -> None:
+    from coulombus.recording.friction import identify as friction
     from coulombus.recording.friction.mjcf import friction_mjcf
 
-    echo(friction_mjcf(fit, file.name))
+    with options.recorded_axis() as axis:
+        fit = friction.identify(axis)
+    options.write_figure(fit)
+    options.print_fit(fit, friction.lines(fit), lambda: friction_mjcf(fit.device, options.file.name))
 
 
-def _print(lines: Iterable[str]) -> None:
-    for line in "\n".join(lines).split("\n"):
-        echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
+def _identify_table(options: IdentifyOptions) -> None:
+    from coulombus.recording.friction.columns import read_table
+    from coulombus.recording.friction.mjcf import friction_mjcf
+    from coulombus.recording.friction.table_identify import identify_table, table_lines
+
+    fit = identify_table(read_table(options.file, options.columns, options.units), options.ratio)
+    options.write_figure(fit.identification)
+    options.print_fit(fit, table_lines(fit), lambda: friction_mjcf(fit.identification.device, options.file.name))
 
 
-def _identify_iron(
-    file: Path, rig_name: str | None, axis: str | None, channels: tuple[str, ...], *, as_json: bool
-) -> None:
+def _identify_iron(options: IdentifyOptions) -> None:
     from coulombus.recording.friction.hysteresis_fit import identify_iron, iron_lines
-    from coulombus.recording.reading import blocks
-    from coulombus.rigs.rig import load_rig
 
-    seen = blocks(file, None if rig_name is None else load_rig(rig_name), channels).one_axis(axis)
-    try:
-        fit = identify_iron(seen)
-    finally:
-        remark(seen.remarks)
-    with printed():
-        if as_json:
-            print_json(fit.as_dict())
-        else:
-            _print(iron_lines(fit))
+    with options.recorded_axis() as axis:
+        fit = identify_iron(axis)
+    options.print_fit(fit, iron_lines(fit), lambda: "")
 
 
-def _identify_law(file: Path, table: bool, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
+def _identify_law(options: IdentifyOptions, law: str, table: bool) -> None:
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
     from coulombus.recording.friction.columns import read_table
+    from coulombus.recording.friction.mjcf import lugre_mjcf
     from coulombus.recording.friction.sliding import IdentifyError
-    from coulombus.recording.reading import blocks
-    from coulombus.rigs.rig import load_rig
 
+    file = options.file
     data: tuple[Stretch, ...]
     if table:
-        rows = read_table(file, options["columns"], options["units"])
+        rows = read_table(file, options.columns, options.units)
         data = (Stretch(rows.t_s, rows.angle_rad, rows.torque_Nm),)
     else:
-        recording = blocks(file, None if rig_name is None else load_rig(rig_name), options["channels"])
-        seen = recording.one_axis(axis)
-        try:
-            data = stretches_of(seen)
-        finally:
-            remark(seen.remarks)
+        with options.recorded_axis() as axis:
+            data = stretches_of(axis)
     try:
-        fit = fit_law(options["law"], data, options["overrides"], rig=None if table else True)
+        fit = fit_law(law, data, options.overrides, rig=None if table else True)
     except IdentifyError as error:
         raise IdentifyError(f"{file}: {error}".replace(f"{file}: {file}:", f"{file}:")) from error
-    with printed():
-        if options["target"] is not None:
-            from coulombus.recording.friction.mjcf import lugre_mjcf
-
-            echo(lugre_mjcf(fit.values, fit.estimates, fit.inertia_kg_m2, file.name))
-        elif options["as_json"]:
-            print_json(fit.as_dict())
-        else:
-            _print(lines(fit))
+    options.print_fit(fit, lines(fit), lambda: lugre_mjcf(fit.values, fit.estimates, fit.inertia_kg_m2, file.name))

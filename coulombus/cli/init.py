@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import InputPath, OutputFile
+from coulombus.cli.options import option, with_options
 from coulombus.cli.tables import echo, table_console
 from coulombus.eds.drive_axis import MOST_DRIVE_AXES
+from coulombus.system.exit import say, verdict
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -32,13 +32,31 @@ TABLE_COLUMNS = 110
 class Wishes:
     """The devices of the new rig, from the options."""
 
-    drive: str
-    brake: str
-    sensors: tuple[str, ...]
-    drive_id: int | None
-    brake_id: int | None
-    sensor_ids: tuple[int, ...]
-    drive_axis: int
+    drive: Annotated[
+        str, option("EDS or XDD file of the motor's drive; `bench`: this project's.", default="", metavar="F.eds")
+    ]
+    brake: Annotated[
+        str, option("EDS or XDD file of the brake's driver; `bench`: this project's.", default="", metavar="G.eds")
+    ]
+    sensors: Annotated[
+        tuple[str, ...], option("--sensor", "EDS file of a further node: the handle's transducer.", metavar="H.eds")
+    ]
+    drive_id: Annotated[int | None, option("Node id of the drive.  [default: a DCF's own, else 1]", type=NODE_ID)]
+    brake_id: Annotated[
+        int | None, option("Node id of the brake's driver.  [default: a DCF's own, else 2]", type=NODE_ID)
+    ]
+    sensor_ids: Annotated[
+        tuple[int, ...], option("--sensor-id", "Node id of each sensor, in their order.", type=NODE_ID)
+    ]
+    drive_axis: Annotated[
+        int,
+        option(
+            "--axis",
+            "Which axis of the drive, where it has several: objects from 6000h, 6800h ...",
+            type=click.IntRange(1, MOST_DRIVE_AXES),
+            default=1,
+        ),
+    ]
 
     def check(self, live: bool) -> None:
         """Refuse missing or contradictory options.
@@ -56,11 +74,11 @@ class Wishes:
             raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
         if len(self.sensor_ids) > len(self.sensors):
             raise click.UsageError("--sensor-id is given more often than --sensor")
-        given = [node_id for node_id in (self.drive_id, self.brake_id, *self.sensor_ids) if node_id is not None]
-        if len(set(given)) < len(given):
+        node_ids = [node_id for node_id in (self.drive_id, self.brake_id, *self.sensor_ids) if node_id is not None]
+        if len(set(node_ids)) < len(node_ids):
             raise click.UsageError("each device has a node id of its own")
 
-    def wanted(self) -> list[DeviceChoice]:
+    def devices(self) -> list[DeviceChoice]:
         """Return the devices by their names in the rig file."""
         from coulombus.rigs.draft.discover import DeviceChoice
 
@@ -73,78 +91,37 @@ class Wishes:
         return devices
 
 
-wishes_options = bundle(
-    "wishes",
-    Wishes,
-    click.option(
-        "--drive", default="", metavar="F.eds", help="EDS or XDD file of the motor's drive; `bench`: this project's."
-    ),
-    click.option(
-        "--brake", default="", metavar="G.eds", help="EDS or XDD file of the brake's driver; `bench`: this project's."
-    ),
-    click.option(
-        "--sensor",
-        "sensors",
-        multiple=True,
-        metavar="H.eds",
-        help="EDS file of a further node: the handle's transducer.",
-    ),
-    click.option("--drive-id", type=NODE_ID, help="Node id of the drive.  [default: a DCF's own, else 1]"),
-    click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]"),
-    click.option(
-        "--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order."
-    ),
-    click.option(
-        "--axis",
-        "drive_axis",
-        type=click.IntRange(1, MOST_DRIVE_AXES),
-        default=1,
-        show_default=True,
-        help="Which axis of the drive, where it has several: objects from 6000h, 6800h ...",
-    ),
-)
-
-
 @click.command(epilog=EXIT_STATUS)
-@wishes_options
-@click.option("--like", default="bench", show_default=True, metavar="R", help="Rig that gives all other values.")
-@click.option("--bus", "bus_name", metavar="B", help="Identify the devices on coulombus:NAME or socketcan:IF.")
-@click.option(
-    "--eds-folder",
-    type=InputPath(file_okay=False),
-    help="Folder with the EDS files of the devices on the bus; this project's are known.",
-)
-@click.option(
-    "--accept",
-    "accepted",
-    multiple=True,
-    metavar="TEXT",
-    help='Acknowledge this of a device (host.accept): "motor: 6071h can be mapped". May be given several times.',
-)
-@click.option("--rehearse", is_flag=True, help="Add a simulated rig, for `coulombus simulate`; refused on a real bus.")
-@click.option(
-    "--no-trials",
-    is_flag=True,
-    help="With --rehearse: do not try the guesses with their other readings.",
-)
-@click.option(
-    "-o",
-    "--out",
-    "--output",
-    "output",
-    type=OutputFile(".toml"),
-    metavar="MY.toml",
-    help="A new file.  [default: stdout]",
-)
+@with_options
 def init(
     wishes: Wishes,
-    like: str,
-    bus_name: str | None,
-    eds_folder: Path | None,
-    accepted: tuple[str, ...],
-    rehearse: bool,
-    no_trials: bool,
-    output: Path | None,
+    like: Annotated[str, option("Rig that gives all other values.", default="bench", metavar="R")],
+    bus_name: Annotated[
+        str | None, option("--bus", "Identify the devices on coulombus:NAME or socketcan:IF.", metavar="B")
+    ],
+    eds_folder: Annotated[
+        Path | None,
+        option(
+            "Folder with the EDS files of the devices on the bus; this project's are known.",
+            type=InputPath(file_okay=False),
+        ),
+    ],
+    accepted: Annotated[
+        tuple[str, ...],
+        option(
+            "--accept",
+            'Acknowledge this of a device (host.accept): "motor: 6071h can be mapped". May be given several times.',
+            metavar="TEXT",
+        ),
+    ],
+    rehearse: Annotated[bool, option("Add a simulated rig, for `coulombus simulate`; refused on a real bus.")],
+    no_trials: Annotated[bool, option("With --rehearse: do not try the guesses with their other readings.")],
+    output: Annotated[
+        Path | None,
+        option(
+            "-o", "--out", "--output", "A new file.  [default: stdout]", type=OutputFile(".toml"), metavar="MY.toml"
+        ),
+    ],
 ) -> None:
     """Write a rig file for a drive and a brake's driver, from their EDS files.
 
@@ -173,7 +150,7 @@ def init(
 
         folder = None if output is None else output.parent.resolve()
         answered = {} if bus_name is None else _answered(bus_name, wishes.drive_axis)
-        devices = gather(wishes.wanted(), folder, answered, eds_folder)
+        devices = gather(wishes.devices(), folder, answered, eds_folder)
         path = "rig.toml" if output is None else str(output)
         draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse, accept=accepted)
         if rehearse:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.fault_options import bus_of_faults, fault_bus_option, mark_host
 from coulombus.cli.option_types import SECONDS
+from coulombus.cli.options import JsonOption, argument, option, with_options
+from coulombus.cli.rig_options import FaultBusOption, bus_of_faults, mark_host
 from coulombus.cli.tables import echo
+from coulombus.system.exit import verdict
 
 __all__ = ["inject"]
 
@@ -32,27 +33,19 @@ class Duration(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("fault", required=False)
-@click.option("--on", "where", metavar="NODE|bus", default=None, help="A node by its name or node id, or bus.")
-@click.option(
-    "--for", "for_s", type=Duration(), default=None, help="Until then, as 2s or 500ms.  [default: until clear]"
-)
-@click.option(
-    "--set", "values", multiple=True, metavar="KEY=V", help="A key of the fault as in a fault file, such as rate=1e-4."
-)
-@click.option(
-    "--list", "lists", is_flag=True, help="List all faults; with a bus that runs, its nodes and what acts now."
-)
-@fault_bus_option
-@json_option
+@with_options
 def inject(
-    fault: str | None,
-    where: str | None,
-    for_s: float | None,
-    values: tuple[str, ...],
-    lists: bool,
-    bus_name: str | None,
-    as_json: bool,
+    fault: Annotated[str | None, argument(required=False)],
+    where: Annotated[str | None, option("--on", "A node by its name or node id, or bus.", metavar="NODE|bus")],
+    for_s: Annotated[
+        float | None, option("--for", "Until then, as 2s or 500ms.  [default: until clear]", type=Duration())
+    ],
+    values: Annotated[
+        tuple[str, ...], option("--set", "A key of the fault as in a fault file, such as rate=1e-4.", metavar="KEY=V")
+    ],
+    lists: Annotated[bool, option("--list", "List all faults; with a bus that runs, its nodes and what acts now.")],
+    bus_name: FaultBusOption,
+    as_json: JsonOption,
 ) -> None:
     """Break the bus or a device of a running `emulate` or `node`, until `coulombus clear`.
 

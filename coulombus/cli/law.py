@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, printed, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import PICTURE, SECONDS, OutputFile
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, on_terminal, print_table, table_console
+from coulombus.system.exit import printed, say
 
 if TYPE_CHECKING:
     from coulombus.host.laws.along import Driven, GivenLaw
     from coulombus.host.laws.law import Declaration
     from coulombus.host.laws.path import MotionPath
 
-__all__ = ["law"]
+__all__ = ["law_command"]
 
 
 class _Finite(click.FloatRange):
@@ -35,30 +37,81 @@ POSITIVE = _Finite(0, 1e9, min_open=True)
 MOST_SAMPLES = 10_000_000
 
 
+@dataclass(frozen=True)
+class MotionOptions:
+    """The motion along which a law is driven, its parameters, and the output files."""
+
+    motion: Annotated[
+        str | None,
+        option(
+            "Drive the law along it: a CSV file with the columns t_s,x_rad, a sine, or a constant speed.",
+            metavar="F.csv|sine|ramp",
+        ),
+    ]
+    overrides: Annotated[
+        tuple[str, ...], option("--set", "Set a parameter of the law, as F_c_Nm=0.8.", metavar="KEY=V")
+    ]
+    amplitude: Annotated[float, option("Amplitude of the sine.", type=POSITIVE, default=0.1, metavar="RAD")]
+    frequency: Annotated[float, option("Frequency of the sine.", type=POSITIVE, default=1.0, metavar="HZ")]
+    speed: Annotated[float, option("Speed of the ramp.", type=_Finite(-1e9, 1e9), default=1.0, metavar="RAD/S")]
+    seconds: Annotated[float, option("Length of sine or ramp.", type=SECONDS, default=2.0)]
+    rate: Annotated[float, option("Samples per second of sine or ramp.", type=POSITIVE, default=1000.0, metavar="HZ")]
+    csv: Annotated[Path | None, option("Write t_s,x_rad,v_rad_s,torque_Nm there.", type=OutputFile(), metavar="OUT")]
+    plot: Annotated[
+        Path | None, option("--picture", "--plot", "Draw motion, torque and loop there.", type=PICTURE, metavar="F.png")
+    ]
+    overwrite: OverwriteOption
+
+    def check(self, name: str | None) -> None:
+        """Refuse options of another use of the verb."""
+        if name is None and (self.motion is not None or self.overrides):
+            raise click.UsageError("--motion and --set are of one law: give its NAME, as in coulombus law lugre")
+        if self.motion is None and (self.csv is not None or self.plot is not None):
+            raise click.UsageError("--csv and --plot are of a motion: give --motion, too")
+
+    def path(self, motion: str) -> MotionPath:
+        """Return the angles of --motion over time."""
+        from coulombus.host.laws.path import ramp, read_motion, sine
+        from coulombus.rigs.errors import nearest
+
+        if motion not in ("sine", "ramp"):
+            if not (Path(motion).exists() or "." in motion or "/" in motion):
+                hint = nearest(motion, ("sine", "ramp"))
+                raise click.BadParameter(f"{motion!r}: expected a CSV file, sine or ramp{hint}", param_hint="--motion")
+            return read_motion(Path(motion))
+        if not 1 <= self.seconds * self.rate <= MOST_SAMPLES:
+            raise click.UsageError(
+                f"--seconds {self.seconds:g} at --rate {self.rate:g}: expected 1 to {MOST_SAMPLES} samples"
+            )
+        if motion == "ramp":
+            return ramp(self.speed, self.seconds, self.rate)
+        return sine(self.amplitude, self.frequency, self.seconds, self.rate)
+
+    def write(self, law: GivenLaw, driven: Driven) -> None:
+        """Write the requested files."""
+        from coulombus.recording.output_file import new_file
+
+        if self.csv is not None:
+            names = ("t_s", "x_rad", "v_rad_s", "torque_Nm")
+            with new_file(self.csv, force=self.overwrite) as path, path.open("w", encoding="ascii") as file:
+                file.write(",".join(names) + "\n")
+                columns = (driven.samples[name].tolist() for name in names)
+                file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
+        if self.plot is not None:
+            from coulombus.analysis.figures.law import draw_law
+            from coulombus.recording.pictures.plot import save_picture
+
+            with new_file(self.plot, force=self.overwrite) as path:
+                save_picture(draw_law(law, driven), path)
+
+
 @click.command("law", epilog=EXIT_STATUS)
-@click.argument("name", required=False)
-@click.option(
-    "--motion",
-    metavar="F.csv|sine|ramp",
-    help="Drive the law along it: a CSV file with the columns t_s,x_rad, a sine, or a constant speed.",
-)
-@click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="Set a parameter of the law, as F_c_Nm=0.8.")
-@click.option(
-    "--amplitude", type=POSITIVE, default=0.1, show_default=True, metavar="RAD", help="Amplitude of the sine."
-)
-@click.option("--frequency", type=POSITIVE, default=1.0, show_default=True, metavar="HZ", help="Frequency of the sine.")
-@click.option(
-    "--speed", type=_Finite(-1e9, 1e9), default=1.0, show_default=True, metavar="RAD/S", help="Speed of the ramp."
-)
-@click.option("--seconds", type=SECONDS, default=2.0, show_default=True, help="Length of sine or ramp.")
-@click.option(
-    "--rate", type=POSITIVE, default=1000.0, show_default=True, metavar="HZ", help="Samples per second of sine or ramp."
-)
-@click.option("--csv", "csv", type=OutputFile(), metavar="OUT", help="Write t_s,x_rad,v_rad_s,torque_Nm there.")
-@click.option("--picture", "--plot", "plot", type=PICTURE, metavar="F.png", help="Draw motion, torque and loop there.")
-@force_option
-@json_option
-def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **options: Any) -> None:
+@with_options
+def law_command(
+    name: Annotated[str | None, argument(required=False)],
+    options: MotionOptions,
+    as_json: JsonOption,
+) -> None:
     """List the friction laws, describe one, or drive it along a motion.
 
     Without NAME the laws are listed. NAME is one of them, FILE.py:FUNCTION or MODULE:FUNCTION;
@@ -75,17 +128,15 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
       coulombus law lugre --motion my-motion.csv --set F_s_Nm=1.5 --csv torque.csv
     """
     with errors():
-        as_json = options["as_json"]
-        _refuse_alone(name, motion, overrides, options)
+        options.check(name)
         if name is None:
             _list(as_json)
             return
         from coulombus.host.laws.along import given_law
         from coulombus.host.laws.plane.plane_laws import PLANE_LAWS
-        from coulombus.rigs.errors import nearest
 
         if name in PLANE_LAWS:
-            if motion is not None or overrides:
+            if options.motion is not None or options.overrides:
                 raise click.BadParameter(
                     f"{name} is a law in the plane, and --motion and --set are of one axis: `coulombus simulate --rig "
                     f"plane --law {name}`, or in Python as in docs/plane.md#laws",
@@ -93,79 +144,36 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
                 )
             _describe(name, PLANE_LAWS[name], as_json)
             return
-        given = given_law(name, overrides)
-        if motion is None:
-            _describe(given.name, given.declaration, as_json)
+        law = given_law(name, options.overrides)
+        if options.motion is None:
+            _describe(law.name, law.declaration, as_json)
             return
-        if motion in ("sine", "ramp") or Path(motion).exists() or "." in motion or "/" in motion:
-            path = _path(motion, options)
-        else:
-            hint = nearest(motion, ("sine", "ramp"))
-            raise click.BadParameter(f"{motion!r}: expected a CSV file, sine or ramp{hint}", param_hint="--motion")
-        driven = given.along(*path)
-        _write(given, driven, options)
+        driven = law.along(*options.path(options.motion))
+        options.write(law, driven)
         with printed():
-            _tell(given, driven, options)
+            _print_driven(law, driven, options, as_json)
 
 
-def _refuse_alone(name: str | None, motion: str | None, overrides: tuple[str, ...], options: dict[str, Any]) -> None:
-    """Refuse options of another use of the verb."""
-    if name is None and (motion is not None or overrides):
-        raise click.UsageError("--motion and --set are of one law: give its NAME, as in coulombus law lugre")
-    if motion is None and (options["csv"] is not None or options["plot"] is not None):
-        raise click.UsageError("--csv and --plot are of a motion: give --motion, too")
-
-
-def _path(motion: str, options: dict[str, Any]) -> MotionPath:
-    from coulombus.host.laws.path import ramp, read_motion, sine
-
-    if motion not in ("sine", "ramp"):
-        return read_motion(Path(motion))
-    seconds, rate = options["seconds"], options["rate"]
-    if not 1 <= seconds * rate <= MOST_SAMPLES:
-        raise click.UsageError(f"--seconds {seconds:g} at --rate {rate:g}: expected 1 to {MOST_SAMPLES} samples")
-    if motion == "ramp":
-        return ramp(options["speed"], seconds, rate)
-    return sine(options["amplitude"], options["frequency"], seconds, rate)
-
-
-def _write(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
-    from coulombus.recording.output_file import new_file
-
-    if options["csv"] is not None:
-        names = ("t_s", "x_rad", "v_rad_s", "torque_Nm")
-        with new_file(options["csv"], force=options["overwrite"]) as path, path.open("w", encoding="ascii") as file:
-            file.write(",".join(names) + "\n")
-            columns = (driven.samples[name].tolist() for name in names)
-            file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
-    if options["plot"] is not None:
-        from coulombus.analysis.figures.law import draw_law
-        from coulombus.recording.pictures.plot import save_picture
-
-        with new_file(options["plot"], force=options["overwrite"]) as path:
-            save_picture(draw_law(given, driven), path)
-
-
-def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
+def _print_driven(law: GivenLaw, driven: Driven, options: MotionOptions, as_json: bool) -> None:
     """Print the result."""
     samples, work_J = driven.samples, driven.work_J
     document = {
-        "law": given.name,
-        "parameters": given.parameters.model_dump(),
+        "law": law.name,
+        "parameters": law.parameters.model_dump(),
         "samples": len(samples),
         "seconds": float(samples["t_s"][-1] - samples["t_s"][0]),
         "peak_Nm": driven.peak_Nm,
         "work_J": float(work_J[-1]),
         "least_work_J": float(work_J.min()),
-        "csv": None if options["csv"] is None else str(options["csv"]),
-        "plot": None if options["plot"] is None else str(options["plot"]),
+        "csv": None if options.csv is None else str(options.csv),
+        "plot": None if options.plot is None else str(options.plot),
     }
-    if options["as_json"]:
+    if as_json:
         print_json(document)
         return
-    echo(f"law {given.name}: {document['samples']} samples in {document['seconds']:g} s")
-    if given.declaration is None:
-        values = ", ".join(given.parameter_texts)
+    echo(f"law {law.name}: {document['samples']} samples in {document['seconds']:g} s")
+    if law.declaration is None:
+        values = ", ".join(law.parameter_texts)
         echo(on_terminal(f"parameters      {values}, as in [mode.*] of a rig file; --set changes them", 16))
     echo(f"largest torque  {document['peak_Nm']:.6g} Nm")
     echo(f"work taken up   {document['work_J']:.6g} J, at least {document['least_work_J']:.6g} J on the way")

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import json_option, verdict
-from coulombus.cli.device_options import (
-    LiveLine,
-    beside_option,
-    devices_bus_option,
-    eds_folder_option,
-    open_link,
-    waiting_option,
-)
+from coulombus.cli.device_options import BesideOption, DevicesBusOption, EdsFolderOption, LiveLine, open_link
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import BIT_RATE
+from coulombus.cli.option_types import BIT_RATE, SECONDS
+from coulombus.cli.options import JsonOption, option, with_options
 from coulombus.cli.tables import echo
+from coulombus.system.exit import verdict
 
 if TYPE_CHECKING:
     from coulombus.host.devices.lss import Identity
+else:
+    Identity = Any  # of a field, whose annotation is read for --help: without importing the module
 
 __all__ = ["lss"]
 
@@ -49,11 +44,23 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
 class Assignment:
     """New settings and their devices, from the options."""
 
-    node_id: int | None
-    everybody: bool
-    identity: Identity | None
-    bitrate: int | None
-    store: bool
+    node_id: Annotated[
+        int | None, option("--set-id", "Give the device this node id.", type=click.IntRange(1, 127), metavar="N")
+    ]
+    everybody: Annotated[bool, option("--all", "Number all devices without a node id: N, N + 1, and so on.")]
+    identity: Annotated[
+        Identity | None,
+        option(
+            "--device",
+            "The device of this identity (1018h, hexadecimal), with a node id or without.",
+            type=IdentityType(),
+            metavar="V:P:R:S",
+        ),
+    ]
+    bitrate: Annotated[
+        int | None, option("Give the device this bit rate; needs --store.", type=BIT_RATE, metavar="BIT/S")
+    ]
+    store: Annotated[bool, option("Let the device store it.")]
 
     @property
     def changes(self) -> bool:
@@ -81,37 +88,23 @@ class Assignment:
                 raise click.BadParameter(str(error), param_hint="--bitrate") from None
 
 
-assignment_options = bundle(
-    "assignment",
-    Assignment,
-    click.option("--set-id", "node_id", type=click.IntRange(1, 127), metavar="N", help="Give the device this node id."),
-    click.option("--all", "everybody", is_flag=True, help="Number all devices without a node id: N, N + 1, and so on."),
-    click.option(
-        "--device",
-        "identity",
-        type=IdentityType(),
-        metavar="V:P:R:S",
-        help="The device of this identity (1018h, hexadecimal), with a node id or without.",
-    ),
-    click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Give the device this bit rate; needs --store."),
-    click.option("--store", is_flag=True, help="Let the device store it."),
-)
-
-
 @click.command(epilog=EXIT_STATUS)
-@devices_bus_option
-@eds_folder_option
-@assignment_options
-@waiting_option("How long an answer may take. [default: 1; to --store 10; a boot-up 5]")
-@beside_option
-@json_option
+@with_options
 def lss(
-    bus_name: str,
-    eds_folder: Path | None,
+    bus_name: DevicesBusOption,
+    eds_folder: EdsFolderOption,
     assignment: Assignment,
-    timeout_s: float | None,
-    beside: bool,
-    as_json: bool,
+    timeout_s: Annotated[
+        float | None,
+        option(
+            "--timeout",
+            "How long an answer may take. [default: 1; to --store 10; a boot-up 5]",
+            type=SECONDS,
+            metavar="S",
+        ),
+    ],
+    beside: BesideOption,
+    as_json: JsonOption,
 ) -> None:
     """List the devices without a node id, or give devices node ids and bit rates (LSS).
 
@@ -142,11 +135,11 @@ def lss(
                 [] if assignment.identity else master.unconfigured(lambda count: show(f"fastscan: {count} found"))
             )
             if assignment.changes:
-                chosen = identities if assignment.everybody else [assignment.identity or only(identities)]
-                ids = [None if assignment.node_id is None else assignment.node_id + k for k in range(len(chosen))]
+                devices = identities if assignment.everybody else [assignment.identity or only(identities)]
+                ids = [None if assignment.node_id is None else assignment.node_id + k for k in range(len(devices))]
                 if assignment.node_id is not None:
                     check_free(link, [node_id for node_id in ids if node_id is not None], show)
-                for identity, new in zip(chosen, ids, strict=True):
+                for identity, new in zip(devices, ids, strict=True):
                     show(f"setting {identity}")
                     numbered.append(
                         give(

@@ -132,8 +132,8 @@ LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "c
 """Libraries whose versions a bug report needs."""
 
 
-def _tell_versions(context: click.Context, option: click.Parameter, given: bool) -> None:
-    if not given or context.resilient_parsing:
+def _tell_versions(context: click.Context, option: click.Parameter, is_set: bool) -> None:
+    if not is_set or context.resilient_parsing:
         return
     import platform
     from importlib.metadata import version

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import click
 
-from coulombus.cli.common import buses_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.hosts import host_addresses
+from coulombus.cli.options import BusesOption, JsonOption, RigOption, argument, with_options
+from coulombus.cli.rig_options import host_addresses
 from coulombus.cli.tables import echo
+from coulombus.system.exit import verdict
 
 __all__ = ["mark"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("text")
-@rig_option
-@buses_option
-@json_option
-def mark(text: str, rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
+@with_options
+def mark(
+    text: Annotated[str, argument()],
+    rig_name: RigOption,
+    bus_names: BusesOption,
+    as_json: JsonOption,
+) -> None:
     """Mark the recording of the host that runs on a bus: now, with TEXT.
 
     The marker is `mark TEXT` in `Recording.markers`, and a comment of its frame in Wireshark. In

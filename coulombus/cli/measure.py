@@ -6,15 +6,16 @@ import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import CPU
-from coulombus.cli.rig_options import OneBusOptions, one_bus_options
+from coulombus.cli.options import JsonOption, option, with_options
+from coulombus.cli.rig_options import OneBusOptions
 from coulombus.cli.tables import echo, table_console
+from coulombus.system.exit import say, verdict
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -29,23 +30,14 @@ MARK = "measured by coulombus measure"
 
 
 @click.command(epilog=EXIT_STATUS)
-@one_bus_options
-@click.option(
-    "--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs for each device."
-)
-@click.option(
-    "--cycles", type=click.IntRange(100, 1_000_000), default=2000, show_default=True, help="Cycles of the host."
-)
-@click.option("--write", is_flag=True, help="Write the values into the rig file; the old file is kept next to it.")
-@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
-@json_option
+@with_options
 def measure(
-    chosen: OneBusOptions,
-    rounds: int,
-    cycles: int,
-    write: bool,
-    cpu: int | None,
-    as_json: bool,
+    bus_options: OneBusOptions,
+    rounds: Annotated[int, option("SYNCs for each device.", type=click.IntRange(10, 100_000), default=500)],
+    cycles: Annotated[int, option("Cycles of the host.", type=click.IntRange(100, 1_000_000), default=2000)],
+    write: Annotated[bool, option("Write the values into the rig file; the old file is kept next to it.")],
+    cpu: Annotated[int | None, option("CPU for the cycle's process.  [default: the last one]", type=CPU)],
+    as_json: JsonOption,
 ) -> None:
     """Measure how long the devices take from SYNC to their TPDOs, and the host from the last TPDO
     to its RPDOs: response_us of each device and host.compute_s, which the planner counts.
@@ -67,10 +59,10 @@ def measure(
         from coulombus.rigs.buses import one_bus
         from coulombus.rigs.plan.rig_plan import plan
 
-        rig = chosen.load()
+        rig = bus_options.load()
         if write:
-            _refuse_to_write(chosen.rig_name, rig, chosen.overrides)
-        on_bus, address = one_bus(rig, chosen.bus_name, chosen.channel)
+            _refuse_to_write(bus_options.rig_name, rig, bus_options.overrides)
+        on_bus, address = one_bus(rig, bus_options.bus_name, bus_options.channel)
         with _progress(not as_json, rounds, cycles) as report:
             measured = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
         numbers = measured.numbers(on_bus)
@@ -91,7 +83,7 @@ def measure(
             if as_json:
                 print_json(document)
             else:
-                _print(document, chosen.rig_name)
+                _print(document, bus_options.rig_name)
 
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:

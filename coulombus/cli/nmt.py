@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import (
-    NodeArgument,
-    beside_option,
-    devices_bus_option,
-    open_link,
-    rig_option,
-    waiting_option,
-)
+from coulombus.cli.device_options import BesideOption, DevicesBusOption, NodesRigOption, NodeType, open_link
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import SECONDS
+from coulombus.cli.options import JsonOption, argument, option, with_options
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say, verdict
 
 __all__ = ["nmt"]
 
@@ -24,8 +19,8 @@ WORDS = ("start", "stop", "preop", "reset", "reset-communication")
 MISSING = 5
 
 
-class NodeOrAll(NodeArgument):
-    """A node as in `NodeArgument`, or "all"."""
+class NodeOrAll(NodeType):
+    """A node as in `NodeType`, or "all"."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Return the node id, 0 for all."""
@@ -33,21 +28,20 @@ class NodeOrAll(NodeArgument):
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("word", type=click.Choice(WORDS), metavar="COMMAND")
-@click.argument("node_id", type=NodeOrAll(), metavar="NODE|all")
-@devices_bus_option
-@rig_option
-@waiting_option("How long to wait for the heartbeat. [default: 2; for a boot-up 5]")
-@beside_option
-@json_option
+@with_options
 def nmt(
-    word: str,
-    node_id: int,
-    bus_name: str,
-    rig_name: str | None,  # NodeArgument reads it
-    timeout_s: float | None,
-    beside: bool,
-    as_json: bool,
+    word: Annotated[str, argument(type=click.Choice(WORDS), metavar="COMMAND")],
+    node_id: Annotated[int, argument(type=NodeOrAll(), metavar="NODE|all")],
+    bus_name: DevicesBusOption,
+    rig_name: NodesRigOption,
+    timeout_s: Annotated[
+        float | None,
+        option(
+            "--timeout", "How long to wait for the heartbeat. [default: 2; for a boot-up 5]", type=SECONDS, metavar="S"
+        ),
+    ],
+    beside: BesideOption,
+    as_json: JsonOption,
 ) -> None:
     """Send an NMT command: start, stop, preop, reset or reset-communication; to a node, or to all.
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import BUS_VARIABLE, adapter_option, with_adapter_options
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.option_types import SECONDS
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH
+from coulombus.cli.options import ADAPTER, BUS_VARIABLE, argument, option, with_adapter_options, with_options
 
 if TYPE_CHECKING:
     from coulombus.node.profile import Profile
     from coulombus.sim_bus.rig.shaft_load import Load
     from coulombus.sim_bus.server.live_nodes import LiveNodes
+else:
+    Profile = Any  # of a field, whose annotation is read for --help: without importing the module
 
 __all__ = ["node_command"]
 
@@ -87,15 +88,65 @@ class Switches(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
 class Served:
     """Simulated nodes of the EDS files, from the options."""
 
-    node_ids: tuple[int, ...]
-    kind: Profile | Literal["auto"] | None
-    store: Path | None
-    processing_us: float
-    bitrate: int | None
-    io: Path | None
-    switches: tuple[float, float, float, float] | None
+    node_ids: Annotated[
+        tuple[int, ...],
+        option(
+            "--node-id",
+            "One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
+            type=NodeId(),
+        ),
+    ]
+    kind: Annotated[
+        Profile | Literal["auto"] | None,
+        option(
+            "What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
+            "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
+            "and told.",
+            type=Kind(),
+            default="auto",
+        ),
+    ]
+    store: Annotated[
+        Path | None,
+        option(
+            "Keep what 1010h and LSS store there.  [default: in memory]",
+            type=click.Path(readable=False, dir_okay=False, path_type=Path),
+            metavar="FILE",
+        ),
+    ]
+    processing_us: Annotated[
+        float,
+        option(
+            "Time from a request until its answer is ready to be sent.", type=click.FloatRange(0, 1e6), default=20.0
+        ),
+    ]
+    bitrate: Annotated[
+        int | None,
+        option(
+            "Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
+            type=click.IntRange(1000, 100_000_000),
+        ),
+    ]
+    io: Annotated[
+        Path | None,
+        option(
+            "Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
+            "(docs/own-device.md).",
+            type=click.Path(readable=False, dir_okay=False, path_type=Path),
+            metavar="FILE",
+        ),
+    ]
+    switches: Annotated[
+        tuple[float, float, float, float] | None,
+        option(
+            "Switches on a drive's axis, in counts from its power-on: negative=-20000,home=0:500,positive=20000 "
+            "(docs/devices.md).  [default: limits 1 turn below and 20 above, home from 1/4 to 1/2 turn]",
+            type=Switches(),
+            metavar="PLACES",
+        ),
+    ]
 
-    def of(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
+    def nodes(self, eds: tuple[Path, ...], as_json: bool, load: Load) -> LiveNodes:
         """Return the nodes of these EDS files.
 
         Raises
@@ -120,10 +171,38 @@ class Served:
 class LoadOptions:
     """The load of the drives, from the options."""
 
-    inertia: float | None
-    friction: float | None
-    damping: float | None
-    rated_torque: float | None
+    inertia: Annotated[
+        float | None,
+        option(
+            "Inertia of motor and load, of a drive.  [default: rated torque x 3.18e-4 s2: 3000 rpm in 0.1 s]",
+            type=click.FloatRange(0, 1e3, min_open=True),
+            metavar="KG_M2",
+        ),
+    ]
+    friction: Annotated[
+        float | None,
+        option(
+            "Coulomb friction of the load.  [default: 2 % of the rated torque]",
+            type=click.FloatRange(0, 1e3),
+            metavar="NM",
+        ),
+    ]
+    damping: Annotated[
+        float | None,
+        option(
+            "Viscous friction of the load.  [default: 5 % of the rated torque at 3000 rpm]",
+            type=click.FloatRange(0, 1e3),
+            metavar="NM_S_RAD",
+        ),
+    ]
+    rated_torque: Annotated[
+        float | None,
+        option(
+            "Torque of the motor at 1000 per mille; it saturates at three times that.  [default: 6076h in mNm, else 1]",
+            type=click.FloatRange(0, 1e4, min_open=True),
+            metavar="NM",
+        ),
+    ]
 
     def load(self) -> Load:
         """Return the load."""
@@ -132,123 +211,30 @@ class LoadOptions:
         return Load(self.inertia, self.friction, self.damping, self.rated_torque)
 
 
-load_options = bundle(
-    "load",
-    LoadOptions,
-    click.option(
-        "--inertia",
-        type=click.FloatRange(0, 1e3, min_open=True),
-        default=None,
-        metavar="KG_M2",
-        help="Inertia of motor and load, of a drive.  [default: rated torque x 3.18e-4 s2: 3000 rpm in 0.1 s]",
-    ),
-    click.option(
-        "--friction",
-        type=click.FloatRange(0, 1e3),
-        default=None,
-        metavar="NM",
-        help="Coulomb friction of the load.  [default: 2 % of the rated torque]",
-    ),
-    click.option(
-        "--damping",
-        type=click.FloatRange(0, 1e3),
-        default=None,
-        metavar="NM_S_RAD",
-        help="Viscous friction of the load.  [default: 5 % of the rated torque at 3000 rpm]",
-    ),
-    click.option(
-        "--rated-torque",
-        type=click.FloatRange(0, 1e4, min_open=True),
-        default=None,
-        metavar="NM",
-        help="Torque of the motor at 1000 per mille; it saturates at three times that.  [default: 6076h in mNm, else 1]",
-    ),
-)
-
-
-served_options = bundle(
-    "served",
-    Served,
-    click.option(
-        "--node-id",
-        "node_ids",
-        type=NodeId(),
-        multiple=True,
-        help="One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
-    ),
-    click.option(
-        "--kind",
-        type=Kind(),
-        default="auto",
-        show_default=True,
-        help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
-        "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
-        "and told.",
-    ),
-    click.option(
-        "--store",
-        type=click.Path(readable=False, dir_okay=False, path_type=Path),
-        metavar="FILE",
-        help="Keep what 1010h and LSS store there.  [default: in memory]",
-    ),
-    click.option(
-        "--processing-us",
-        type=click.FloatRange(0, 1e6),
-        default=20.0,
-        show_default=True,
-        help="Time from a request until its answer is ready to be sent.",
-    ),
-    click.option(
-        "--bitrate",
-        type=click.IntRange(1000, 100_000_000),
-        default=None,
-        help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
-    ),
-    click.option(
-        "--io",
-        type=click.Path(readable=False, dir_okay=False, path_type=Path),
-        metavar="FILE",
-        help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
-        "(docs/own-device.md).",
-    ),
-    click.option(
-        "--switches",
-        type=Switches(),
-        default=None,
-        metavar="PLACES",
-        help="Switches on a drive's axis, in counts from its power-on: negative=-20000,home=0:500,positive=20000 "
-        "(docs/devices.md).  [default: limits 1 turn below and 20 above, home from 1/4 to 1/2 turn]",
-    ),
-)
-
-
 @click.command("node", epilog=EXIT_STATUS)
-@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path))
-@click.option(
-    "--bus",
-    metavar="B",
-    required=True,
-    envvar=BUS_VARIABLE,
-    callback=with_adapter_options,
-    help="coulombus:NAME (built in), socketcan:IF or can:INTERFACE:CHANNEL.",
-)
-@adapter_option
-@served_options
-@load_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="One JSON object a line to stdout: ready, duplicate, standstill, hardware, end.",
-)
+@with_options
 def node_command(
-    eds: tuple[Path, ...],
-    bus: str,
+    eds: Annotated[
+        tuple[Path, ...],
+        argument(nargs=-1, required=True, metavar="EDS...", type=UNCHECKED_PATH),
+    ],
+    bus: Annotated[
+        str,
+        option(
+            "coulombus:NAME (built in), socketcan:IF or can:INTERFACE:CHANNEL.",
+            metavar="B",
+            required=True,
+            envvar=BUS_VARIABLE,
+            callback=with_adapter_options,
+        ),
+        ADAPTER,
+    ],
     served: Served,
     load: LoadOptions,
-    seconds: float | None,
-    as_json: bool,
+    seconds: Annotated[float | None, option("End after this many seconds.  [default: never]", type=SECONDS)],
+    as_json: Annotated[
+        bool, option("--json", "One JSON object a line to stdout: ready, duplicate, standstill, hardware, end.")
+    ],
 ) -> None:
     """Serve any EDS description as a live node: a stand-in for a device that is not on the desk
     yet.
@@ -273,4 +259,4 @@ def node_command(
         from coulombus.sim_bus.server.live_nodes import run_nodes
         from coulombus.wire.address import WITH_ADAPTERS, parse_address
 
-        run_nodes(served.of(eds, as_json, load.load()), parse_address(bus, WITH_ADAPTERS), seconds)
+        run_nodes(served.nodes(eds, as_json, load.load()), parse_address(bus, WITH_ADAPTERS), seconds)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from coulombus.cli.errors import OUTPUTS, Failure
-from coulombus.recording.output_file import is_stream, reason_against
+from coulombus.recording.output_file import is_stream, named_after, reason_against
 
 __all__ = [
     "BIT_RATE",
@@ -17,10 +17,12 @@ __all__ = [
     "PICTURE",
     "SECONDS",
     "SECONDS_OR_NONE",
+    "UNCHECKED_PATH",
     "InputPath",
     "OutputDirectory",
     "OutputFile",
     "RecordingPlace",
+    "output_named_after",
 ]
 
 
@@ -74,8 +76,8 @@ class OutputFile(click.Path):
             self._named(path, param, ctx)
         force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
         remedy = "choose another name" + (f", or replace it with {force.opts[0]}" if force else "")
-        given = ctx is not None and bool(ctx.params.get("overwrite"))
-        reason = reason_against(path, force=given, remedy=remedy)
+        may_overwrite = ctx is not None and bool(ctx.params.get("overwrite"))
+        reason = reason_against(path, force=may_overwrite, remedy=remedy)
         if reason is not None:
             self.fail(reason, param, ctx)
         if not pipe:
@@ -89,6 +91,15 @@ class OutputFile(click.Path):
     def _named(self, path: Path, param: click.Parameter | None, ctx: click.Context | None) -> None:
         if self.suffixes and path.suffix.lower() not in self.suffixes:
             self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
+
+
+def output_named_after(file: Path, suffix: str, overwrite: bool) -> Path:
+    """Return the output of a verb without -o, which is named after its input; refuse an existing file."""
+    path = named_after(file, suffix)
+    reason = reason_against(path, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite")
+    if reason is not None:
+        raise click.UsageError(reason)
+    return path
 
 
 class OutputDirectory(click.Path):
@@ -189,3 +200,5 @@ YEAR_S = 31_557_600
 SECONDS, SECONDS_OR_NONE = _Seconds(), _Seconds(zero=True)
 CPU = _Cpu()
 BIT_RATE = _BitRate()
+UNCHECKED_PATH = click.Path(readable=False, path_type=Path)
+"""Of a file whose reader says what is wrong with it."""

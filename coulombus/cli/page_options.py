@@ -9,18 +9,18 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle, repeated
-from coulombus.cli.common import say
+from coulombus.cli.options import option, words
+from coulombus.cli.rig_options import BusesOptions, mark_host
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from coulombus.cli.rig_options import BusesOptions
     from coulombus.eds.eds_folder import EdsFiles
     from coulombus.monitor.web.page_state import FaultDoor
     from coulombus.rigs.rig import Rig
@@ -30,7 +30,6 @@ __all__ = [
     "LOOPBACK",
     "PORT",
     "PageOptions",
-    "page_options",
     "serve_last_page",
     "serve_page",
     "serve_recording_page",
@@ -46,9 +45,16 @@ END_S = 5.0
 class PageOptions:
     """The given options of the page."""
 
-    web: bool
-    web_port: int
-    web_host: str
+    web: Annotated[bool, option("Serve a page to a browser; its address is printed.")]
+    web_port: Annotated[
+        int, option("Port of the page; 0: a free one.", type=click.IntRange(0, 65535), metavar="N", default=PORT)
+    ]
+    web_host: Annotated[
+        str,
+        option(
+            "Serve the page at this address of the machine, for others of its network.", metavar="H", default=LOOPBACK
+        ),
+    ]
 
     def refuse_several(self) -> None:
         """Refuse a page of several buses.
@@ -63,7 +69,7 @@ class PageOptions:
 
     @contextmanager
     def beside(
-        self, chosen: BusesOptions, address: BusAddress, view: str = "plots"
+        self, bus_options: BusesOptions, address: BusAddress, view: str = "plots"
     ) -> Iterator[Callable[[float], None]]:
         """Serve the page of a bus in a separate process during the block, if requested.
 
@@ -74,10 +80,9 @@ class PageOptions:
         if not self.web:
             yield lambda seconds: None
             return
-        words = ["--rig", chosen.rig_name, "--bus", str(address), "--web-host", self.web_host]
-        words += ["--web-port", str(self.web_port), *([] if chosen.channel is None else ["--channel", chosen.channel])]
-        words += repeated("--set", chosen.overrides)
-        command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", view, *words]
+        options = ["--bus", str(address), *words(bus_options, BusesOptions, without=["bus_names"])]
+        options += words(self, PageOptions)
+        command = [sys.executable, "-m", "coulombus", "watch", "--beside", view, *options]
         child = None
         try:
             child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr.fileno(), start_new_session=True)
@@ -110,28 +115,6 @@ def _end(child: subprocess.Popen[bytes]) -> None:
         child.wait()
 
 
-page_options = bundle(
-    "page",
-    PageOptions,
-    click.option("--web", is_flag=True, help="Serve a page to a browser; its address is printed."),
-    click.option(
-        "--web-port",
-        type=click.IntRange(0, 65535),
-        metavar="N",
-        default=PORT,
-        show_default=True,
-        help="Port of the page; 0: a free one.",
-    ),
-    click.option(
-        "--web-host",
-        metavar="H",
-        default=LOOPBACK,
-        show_default=True,
-        help="Serve the page at this address of the machine, for others of its network.",
-    ),
-)
-
-
 def serve_page(
     rig: Rig,
     address: BusAddress,
@@ -161,11 +144,11 @@ def serve_page(
         from coulombus.monitor.web.page_state import HostDoor
         from coulombus.monitor.web.server import Shown, serve
 
-    kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
+    token_file = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
     door = HostDoor(
         status=lambda: ask_status(address, 1.0),
         stop=lambda: stop_host(address),
-        change=lambda order: ask_change(address, order, 1.0),
+        change=lambda request: ask_change(address, request, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
         curve=law_curve,
         ring=law_ring,
@@ -175,7 +158,9 @@ def serve_page(
         start=shlex.join(["coulombus", "run", "--bus", str(address), "--rig", rig_name]),
     )
     serve(
-        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept), _fault_door(address, page)),
+        Shown(
+            rig, address, door, kept_token(socket_path(address.kind).parent / token_file), _fault_door(address, page)
+        ),
         lambda url: _ready(url + ("#bus" if beside == "bus" else ""), as_json),
         host=page.web_host,
         port=page.web_port,
@@ -188,7 +173,6 @@ def _fault_door(address: BusAddress, page: PageOptions) -> FaultDoor | None:
     """Return the faults of a virtual bus, for a page that only this machine can open."""
     if not address.is_virtual or page.web_host not in (LOOPBACK, "localhost", "::1"):
         return None
-    from coulombus.cli.fault_options import mark_host
     from coulombus.monitor.web.page_state import FaultDoor
     from coulombus.sim_bus.faults.fault_kinds import KINDS, effect_of
     from coulombus.sim_bus.server.fault_socket import BusFaults

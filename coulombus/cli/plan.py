@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, json_option, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import BIT_RATE, PICTURE
-from coulombus.cli.rig_options import RigOptions, rig_options
+from coulombus.cli.options import JsonOption, OverwriteOption, option, with_options
+from coulombus.cli.rig_options import RigOptions
 from coulombus.cli.tables import echo, print_fitting, table_console
+from coulombus.system.exit import say, verdict
 from coulombus.system.wrap_text import hanging
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from coulombus.rigs.plan.rig_plan import Assumptions, Plan
     from coulombus.rigs.plan.role_costs import Remedy
     from coulombus.rigs.rig import Rig
+else:
+    Errors = Any  # of a field, whose annotation is read for --help: without importing the module
 
 __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
 
@@ -143,11 +145,11 @@ def _print(document: dict[str, Any]) -> None:
 
     def build(left: Collection[str]) -> Table:
         table = Table(box=None, pad_edge=False, header_style="bold")
-        kept = [place for place, heading in enumerate(HEADINGS) if heading not in left]
-        for place in kept:
+        columns = [place for place, heading in enumerate(HEADINGS) if heading not in left]
+        for place in columns:
             table.add_column(HEADINGS[place], justify="left" if place < LEFT else "right", no_wrap=True)
         for cells in rows:
-            table.add_row(*(cells[place] for place in kept))
+            table.add_row(*(cells[place] for place in columns))
         return table
 
     print_fitting(table_console(WIDTH), build, ("block", "jitter", "bits", "due"))
@@ -236,9 +238,17 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Er
 class Traffic:
     """Differences of the planned traffic from the rig, from the options."""
 
-    bitrate: int | None
-    period_us: float | None
-    axes: int | None
+    bitrate: Annotated[
+        int | None, option("Bit rate, such as 500k.  [default: the rig's]", type=BIT_RATE, metavar="BIT/S")
+    ]
+    period_us: Annotated[
+        float | None,
+        option(
+            "SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
+            type=click.FloatRange(100, 1e6),
+        ),
+    ]
+    axes: Annotated[int | None, option("Number of axes.  [default: the rig's]", type=click.IntRange(1, 16))]
 
     def options(self) -> dict[str, Any]:
         """Return the arguments for `rigs.plan.rig_plan.plans`."""
@@ -250,10 +260,35 @@ class Traffic:
 class Times:
     """Assumptions on devices, host and bus, from the options."""
 
-    bus_errors: Errors
-    node_us: float | None
-    host_us: float | None
-    sporadic_ms: float | None
+    bus_errors: Annotated[
+        Errors,
+        option(
+            "--errors",
+            "At most N bus errors in any INTERVAL, perhaps at once: 1/10ms, 3/ms, 20/s.",
+            default="0",
+            metavar="N/INTERVAL",
+            callback=_errors_option,
+        ),
+    ]
+    node_us: Annotated[
+        float | None,
+        option(
+            "Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
+            type=click.FloatRange(0, 1e6),
+        ),
+    ]
+    host_us: Annotated[
+        float | None,
+        option(
+            "Longest computing time of the host.  [default: the rig's host.compute_s]", type=click.FloatRange(0, 1e6)
+        ),
+    ]
+    sporadic_ms: Annotated[
+        float | None,
+        option(
+            "Shortest interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]", type=click.FloatRange(0.1, 1e6)
+        ),
+    ]
 
     def assumptions(self) -> Assumptions:
         """Return them in ns, for the planner."""
@@ -264,66 +299,17 @@ class Times:
         return Assumptions(node, host, sporadic, self.bus_errors)
 
 
-traffic_options = bundle(
-    "traffic",
-    Traffic,
-    click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Bit rate, such as 500k.  [default: the rig's]"),
-    click.option(
-        "--period-us",
-        type=click.FloatRange(100, 1e6),
-        help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
-    ),
-    click.option("--axes", type=click.IntRange(1, 16), help="Number of axes.  [default: the rig's]"),
-)
-times_options = bundle(
-    "times",
-    Times,
-    click.option(
-        "--errors",
-        "bus_errors",
-        default="0",
-        show_default=True,
-        metavar="N/INTERVAL",
-        callback=_errors_option,
-        help="At most N bus errors in any INTERVAL, perhaps at once: 1/10ms, 3/ms, 20/s.",
-    ),
-    click.option(
-        "--node-us",
-        type=click.FloatRange(0, 1e6),
-        help="Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
-    ),
-    click.option(
-        "--host-us",
-        type=click.FloatRange(0, 1e6),
-        help="Longest computing time of the host.  [default: the rig's host.compute_s]",
-    ),
-    click.option(
-        "--sporadic-ms",
-        type=click.FloatRange(0.1, 1e6),
-        help="Shortest interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
-    ),
-)
-
-
 @click.command("plan", epilog=EXIT_STATUS)
-@rig_options
-@json_option
-@traffic_options
-@times_options
-@click.option(
-    "--gantt",
-    type=PICTURE,
-    metavar="F.png",
-    help="Draw the worst cycle there (.png, .svg, .pdf).",
-)
-@force_option
+@with_options
 def plan_command(
-    chosen: RigOptions,
+    options: RigOptions,
+    as_json: JsonOption,
     traffic: Traffic,
     times: Times,
-    gantt: Path | None,
-    overwrite: bool,
-    as_json: bool,
+    gantt: Annotated[
+        Path | None, option("Draw the worst cycle there (.png, .svg, .pdf).", type=PICTURE, metavar="F.png")
+    ],
+    overwrite: OverwriteOption,
 ) -> None:
     """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window,
     latest RPDO, slack; what each role costs on the wire. Where they do not fit, the period that
@@ -342,7 +328,7 @@ def plan_command(
     with errors():
         from coulombus.rigs.plan.rig_plan import plans
 
-        rig = chosen.load()
+        rig = options.load()
         try:
             by_channel = plans(rig, **traffic.options(), assumptions=times.assumptions())
         except ValueError as error:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, recording_argument, say, signals_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import PICTURE
-from coulombus.cli.rig_options import LogOptions, log_options
+from coulombus.cli.option_types import PICTURE, output_named_after
+from coulombus.cli.options import OverwriteOption, RecordingArgument, SignalsOption, SpanOption, option, with_options
+from coulombus.cli.rig_options import LogOptions
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from coulombus.recording.pictures.plot import Plot
@@ -21,15 +21,6 @@ __all__ = ["plot_command"]
 
 SIZES_CM = (2.0, 100.0)
 """The least and the largest width and height of a picture."""
-
-
-def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
-    from coulombus.recording.span import parse_span
-
-    try:
-        return (None, None) if text is None else parse_span(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
 
 
 def _size(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -49,18 +40,13 @@ def _size(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
 class LookOptions:
     """The options of a picture's look as they are given."""
 
-    title: str | None
-    size_cm: tuple[float, float] | None
-    dpi: float | None
-
-
-look_options = bundle(
-    "look",
-    LookOptions,
-    click.option("--title", metavar="TEXT", help="Title of the picture.  [default: the file's name]"),
-    click.option("--size", "size_cm", callback=_size, metavar="WxH", help="Width and height in cm, as 16x9."),
-    click.option("--dpi", type=click.FloatRange(30, 1200), metavar="N", help="Resolution of a .png.  [default: 140]"),
-)
+    title: Annotated[str | None, option("Title of the picture.  [default: the file's name]", metavar="TEXT")]
+    size_cm: Annotated[
+        tuple[float, float] | None, option("--size", "Width and height in cm, as 16x9.", callback=_size, metavar="WxH")
+    ]
+    dpi: Annotated[
+        float | None, option("Resolution of a .png.  [default: 140]", type=click.FloatRange(30, 1200), metavar="N")
+    ]
 
 
 def _not_visible(data: Plot) -> list[str]:
@@ -75,20 +61,17 @@ def _not_visible(data: Plot) -> list[str]:
 
 
 @click.command("plot", epilog=EXIT_STATUS)
-@recording_argument
-@signals_option
-@click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]")
-@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="A .png, .svg or .pdf.  [default: FILE, as .png]")
-@log_options
-@force_option
-@look_options
+@with_options
 def plot_command(
-    file: Path,
-    signals: tuple[str, ...] | None,
-    span: tuple[float | None, float | None],
-    out: Path | None,
+    file: RecordingArgument,
+    signals: SignalsOption,
+    span: SpanOption,
+    out: Annotated[
+        Path | None,
+        option("-o", "--out", "A .png, .svg or .pdf.  [default: FILE, as .png]", type=PICTURE, metavar="F.png"),
+    ],
     log: LogOptions,
-    overwrite: bool,
+    overwrite: OverwriteOption,
     look: LookOptions,
 ) -> None:
     """Draw a recording's signals over time, a panel for each unit, with the markers.
@@ -104,21 +87,16 @@ def plot_command(
       coulombus plot run.pcapng --title "Subject 3, hybrid" --size 16x9 --dpi 300
     """
     with errors():
-        from coulombus.recording.output_file import named_after, new_file, reason_against
+        from coulombus.recording.output_file import new_file
         from coulombus.recording.pictures.plot import Look, figure_of, save_picture, traces_of
         from coulombus.recording.reading import blocks
 
-        place = out or named_after(file, ".png")
-        reason = reason_against(
-            place, force=overwrite, remedy="choose another name by -o, or replace it with --overwrite"
-        )
-        if reason is not None:
-            raise click.UsageError(reason)
+        place = out or output_named_after(file, ".png", overwrite)
         source = blocks(file, log.rig_name, log.channels, eds=log.files())
         data = traces_of(source, signals, span)
-        made = figure_of(data, Look(look.title, look.size_cm, look.dpi))
+        figure = figure_of(data, Look(look.title, look.size_cm, look.dpi))
         with new_file(place, force=overwrite) as path:
-            save_picture(made, path, look.dpi)
+            save_picture(figure, path, look.dpi)
         with verdict(0):
             remark(source.remarks)
             say(f"{place}: drawn")

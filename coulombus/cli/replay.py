@@ -5,16 +5,22 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import file_channel_option, json_option, printed, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, remark
-from coulombus.cli.option_types import InputPath
+from coulombus.cli.options import (
+    FileChannelOption,
+    IdsOption,
+    JsonOption,
+    RecordingArgument,
+    option,
+    with_options,
+)
 from coulombus.cli.tables import echo, progress
 from coulombus.system.errors import CoulombusError
+from coulombus.system.exit import printed, verdict
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
@@ -35,34 +41,34 @@ class NotToTheRig(CoulombusError):
 class Choice:
     """The frames of a recording to play, from the options."""
 
-    from_s: float | None
-    to_s: float | None
-    ids_text: str | None
-    nodes: tuple[int, ...]
-    only_host: bool
-    channels: tuple[str, ...]
+    from_s: Annotated[float | None, option("Begin there, in the time that `coulombus decode` shows.", type=float)]
+    to_s: Annotated[float | None, option("End there.", type=float)]
+    ids_text: IdsOption
+    nodes: Annotated[tuple[int, ...], option("--node", "Only what this node sent.", type=click.IntRange(1, 127))]
+    only_host: Annotated[bool, option("Only what the host sent: SYNC, NMT, RPDOs, SDO requests.")]
+    channels: FileChannelOption
 
-    def of(self, tape: Tape, rig_name: str | None) -> Tape:
+    def select(self, tape: Tape, rig_name: str | None) -> Tape:
         """Return the selected frames."""
         import numpy as np
 
         from coulombus.recording.frame_sender import HOST, rig_of, senders
         from coulombus.wire.identifiers import among, parse_identifiers
 
-        chosen = np.ones(len(tape.frames), bool)
+        selected = np.ones(len(tape.frames), bool)
         if self.from_s is not None:
-            chosen &= tape.t_ns >= round(self.from_s * 1e9)
+            selected &= tape.t_ns >= round(self.from_s * 1e9)
         if self.to_s is not None:
-            chosen &= tape.t_ns <= round(self.to_s * 1e9)
+            selected &= tape.t_ns <= round(self.to_s * 1e9)
         if self.ids_text is not None:
-            chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
+            selected &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
         if self.nodes or self.only_host:
             nodes = (*self.nodes, HOST) if self.only_host else self.nodes
             rig = rig_of(tape.path, rig_name)
             if rig is not None and len(rig.channels) > 1:
                 rig = self._on_bus(rig)
-            chosen &= np.isin(senders(tape.frames["can_id"], rig), nodes)
-        return tape.take(chosen)
+            selected &= np.isin(senders(tape.frames["can_id"], rig), nodes)
+        return tape.take(selected)
 
     def _on_bus(self, rig: Rig) -> Rig:
         """Return the rig's part on the played bus, if --channel names it."""
@@ -70,53 +76,29 @@ class Choice:
         return next((rig.on(channel) for channel in rig.channels if channel in names), rig)
 
 
-choice_options = bundle(
-    "choice",
-    Choice,
-    click.option("--from-s", type=float, default=None, help="Begin there, in the time that `coulombus decode` shows."),
-    click.option("--to-s", type=float, default=None, help="End there."),
-    click.option(
-        "--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x."
-    ),
-    click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent."),
-    click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests."),
-    file_channel_option,
-)
-
-
 @dataclass(frozen=True)
 class Playing:
     """Settings of playing a recording, from the options."""
 
-    speed: float
-    loops: int
-    to_rig: bool
-    priority: int
-
-
-playing_options = bundle(
-    "playing",
-    Playing,
-    click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast."),
-    click.option(
-        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="Number of times; 0: without end."
-    ),
-    click.option(
-        "--to-rig", is_flag=True, help="Also send the host's frames to a real interface: they move the motor."
-    ),
-    click.option(
-        "--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO priority; 0: none."
-    ),
-)
+    speed: Annotated[float, option("2: twice as fast.", type=click.FloatRange(1e-3, 1e3), default=1.0)]
+    loops: Annotated[int, option("--loop", "Number of times; 0: without end.", type=click.IntRange(0), default=1)]
+    to_rig: Annotated[bool, option("Also send the host's frames to a real interface: they move the motor.")]
+    priority: Annotated[int, option("SCHED_FIFO priority; 0: none.", type=click.IntRange(0, 99), default=70)]
 
 
 @dataclass(frozen=True)
 class Otherwise:
     """Differences from the recording's own rig, from the options."""
 
-    rig_name: str | None
-    law: str | None
-    overrides: tuple[str, ...]
+    rig_name: Annotated[str | None, option("--rig", "This rig instead of the attached one.", metavar="R")]
+    law: Annotated[
+        str | None,
+        option(
+            "With --host: what this law would have commanded. Your own law runs only if it is named here.",
+            metavar="M:F",
+        ),
+    ]
+    overrides: Annotated[tuple[str, ...], option("--set", "With --host: other values.", metavar="SECTION.KEY=V")]
 
     def rig(self, file: Path) -> Rig | None:
         """Return the named rig's part on the recorded bus; None: the recording's own rig."""
@@ -139,37 +121,17 @@ class Otherwise:
         return (*self.overrides, f"law.function={place}{colon}{function}")
 
 
-otherwise_options = bundle(
-    "otherwise",
-    Otherwise,
-    click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one."),
-    click.option(
-        "--law",
-        metavar="M:F",
-        help="With --host: what this law would have commanded. Your own law runs only if it is named here.",
-    ),
-    click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values."),
-)
-
-
 @click.command("replay", epilog=EXIT_STATUS)
-@click.argument("file", type=InputPath())
-@click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
-@click.option("--host", "as_host", is_flag=True, help="Feed the host with it, and compare its outputs.")
-@click.option("--virtual", is_flag=True, help="Feed a virtual bus with it, and compare the frames.")
-@playing_options
-@choice_options
-@otherwise_options
-@json_option
+@with_options
 def replay(
-    file: Path,
-    bus_name: str | None,
-    as_host: bool,
-    virtual: bool,
+    file: RecordingArgument,
+    bus_name: Annotated[str | None, option("--bus", "Play it there: coulombus:NAME or socketcan:IF.", metavar="B")],
+    as_host: Annotated[bool, option("--host", "Feed the host with it, and compare its outputs.")],
+    virtual: Annotated[bool, option("Feed a virtual bus with it, and compare the frames.")],
     playing: Playing,
     choice: Choice,
     otherwise: Otherwise,
-    as_json: bool,
+    as_json: JsonOption,
 ) -> None:
     """Play a recording onto a bus, or check the host (--host) or the bus model (--virtual) against
     it.
@@ -267,7 +229,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
     from coulombus.wire.socketcan import is_virtual
 
     address = parse_address(bus_name)
-    tape = choice.of(load_tape(file, choice.channels), rig_name)
+    tape = choice.select(load_tape(file, choice.channels), rig_name)
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")

@@ -28,12 +28,12 @@ def _columns(results: dict[str, RunResult]) -> Iterator[tuple[str, RunResult]]:
 
     for title, result in results.items():
         if result.buses:
-            yield from _columns({title + f", {bus}": replace(result, **own) for bus, own in result.buses.items()})
+            yield from _columns({title + f", {bus}": replace(result, **values) for bus, values in result.buses.items()})
             continue
         if not result.axes:
             yield title, result
-        for axis, own in (result.axes or {}).items():
-            yield f"{title}, {axis}", replace(result, **own)
+        for axis, values in (result.axes or {}).items():
+            yield f"{title}, {axis}", replace(result, **values)
 
 
 def print_runs(results: dict[str, RunResult]) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import json_option, say, verdict
-from coulombus.cli.device_options import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
+from coulombus.cli.device_options import BesideOption, DevicesBusOption, EdsFolderOption, LiveLine, open_link
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import SECONDS
+from coulombus.cli.options import JsonOption, option, with_options
 from coulombus.cli.tables import echo, table_console
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from coulombus.eds.reader import Description
@@ -25,42 +26,33 @@ MISSING = 5
 
 
 @click.command(epilog=EXIT_STATUS)
-@devices_bus_option
-@eds_folder_option
-@click.option(
-    "--listen",
-    "listen_s",
-    type=click.FloatRange(0, 3600),
-    default=0.0,
-    metavar="S",
-    help="Wait this many seconds for heartbeats and boot-ups of nodes that answer no SDO; 10 finds most.",
-)
-@click.option(
-    "--timeout",
-    "timeout_s",
-    type=SECONDS,
-    default=0.5,
-    show_default=True,
-    metavar="S",
-    help="Time limit for an SDO answer.",
-)
-@click.option("--no-lss", is_flag=True, help="Do not look for devices without a node id.")
-@click.option(
-    "--bitrates",
-    is_flag=True,
-    help="SocketCAN: listen at each bit rate of CiA 305 first, and scan at the one that fits. Sets the interface up.",
-)
-@beside_option
-@json_option
+@with_options
 def scan(
-    bus_name: str,
-    eds_folder: Path | None,
-    listen_s: float,
-    timeout_s: float,
-    no_lss: bool,
-    bitrates: bool,
-    beside: bool,
-    as_json: bool,
+    bus_name: DevicesBusOption,
+    eds_folder: EdsFolderOption,
+    listen_s: Annotated[
+        float,
+        option(
+            "--listen",
+            "Wait this many seconds for heartbeats and boot-ups of nodes that answer no SDO; 10 finds most.",
+            type=click.FloatRange(0, 3600),
+            default=0.0,
+            metavar="S",
+            show_default=False,
+        ),
+    ],
+    timeout_s: Annotated[
+        float, option("--timeout", "Time limit for an SDO answer.", type=SECONDS, default=0.5, metavar="S")
+    ],
+    no_lss: Annotated[bool, option("Do not look for devices without a node id.")],
+    bitrates: Annotated[
+        bool,
+        option(
+            "SocketCAN: listen at each bit rate of CiA 305 first, and scan at the one that fits. Sets the interface up."
+        ),
+    ],
+    beside: BesideOption,
+    as_json: JsonOption,
 ) -> None:
     """Find the devices on a bus: what they are, their state, which EDS file is theirs.
 
@@ -86,8 +78,8 @@ def scan(
         remarks: list[str] = []
         files: list[Description] = list(packaged())
         if eds_folder is not None:
-            there, refused = read_folder(eds_folder)
-            files = [*there, *files]
+            described, refused = read_folder(eds_folder)
+            files = [*described, *files]
             remarks += [f"{len(refused)} files of {eds_folder} cannot be read: {refused[0]}"] if refused else []
         if bitrates:
             _choose_bit_rate(bus_name)

@@ -5,24 +5,24 @@ from __future__ import annotations
 import difflib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, say, verdict
 from coulombus.cli.device_options import (
+    BesideOption,
     DeviceOptions,
+    DevicesBusOption,
     LiveLine,
-    beside_option,
-    device_options,
-    devices_bus_option,
-    node_argument,
+    NodeArgument,
+    TimeoutOption,
     open_link,
-    timeout_option,
 )
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import SECONDS, OutputFile
+from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, OutputFile
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, table_console
+from coulombus.system.exit import say, verdict
 from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
@@ -36,22 +36,12 @@ CHECK_FAILED, ABORTED = 1, 6
 STATE_BEHIND_COMMAND = (0x1010, 0x1011, 0x1023, 0x1024, 0x1F50, 0x1F51)
 """Objects whose write is a command (CiA 301, 7.5.2.13); a read returns a state, not the written value."""
 
-object_argument = click.argument("name", metavar="OBJECT")
-type_option = click.option(
-    "--type", "type_name", default="", metavar="T", help="Data type without an EDS file, as UNSIGNED16."
-)
-part_option = click.option(
-    "--part",
-    type=click.IntRange(1, 127),
-    default=1,
-    show_default=True,
-    help="1: all; 2: communication; 3: application.",
-)
-
-
-storing_option = click.option(
-    "--timeout", "timeout_s", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Time limit."
-)
+ObjectArgument = Annotated[str, argument(metavar="OBJECT")]
+TypeOption = Annotated[str, option("--type", "Data type without an EDS file, as UNSIGNED16.", default="", metavar="T")]
+PartOption = Annotated[
+    int, option("--part", "1: all; 2: communication; 3: application.", type=click.IntRange(1, 127), default=1)
+]
+StoringOption = Annotated[float, option("--timeout", "Time limit.", type=SECONDS, default=10.0, metavar="S")]
 
 
 class SdoGroup(click.Group):
@@ -83,27 +73,24 @@ def sdo() -> None:
 
 
 @sdo.command(epilog=EXIT_STATUS)
-@node_argument
-@object_argument
-@device_options
-@click.option(
-    "-o",
-    "--out",
-    "--output",
-    "output",
-    type=OutputFile(),
-    metavar="F",
-    help="Write the object's bytes there; for long objects.",
-)
-@force_option
-@json_option
+@with_options
 def get(
-    node_id: int,
-    name: str,
+    node_id: NodeArgument,
+    name: ObjectArgument,
     reached: DeviceOptions,
-    output: Path | None,
-    overwrite: bool,
-    as_json: bool,
+    output: Annotated[
+        Path | None,
+        option(
+            "-o",
+            "--out",
+            "--output",
+            "Write the object's bytes there; for long objects.",
+            type=OutputFile(),
+            metavar="F",
+        ),
+    ],
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Read an object: its value, its unit, and the raw number.
 
@@ -135,19 +122,14 @@ def get(
 
 
 @sdo.command("set", epilog=EXIT_STATUS)
-@node_argument
-@object_argument
-@click.argument("value", metavar="VALUE")
-@device_options
-@type_option
-@json_option
+@with_options
 def set_command(
-    node_id: int,
-    name: str,
-    value: str,
+    node_id: NodeArgument,
+    name: ObjectArgument,
+    value: Annotated[str, argument(metavar="VALUE")],
     reached: DeviceOptions,
-    type_name: str,
-    as_json: bool,
+    type_name: TypeOption,
+    as_json: JsonOption,
 ) -> None:
     """Write an object, and read it back.
 
@@ -168,30 +150,26 @@ def set_command(
             data = device.parse(variable, value, type_name=type_name)
             back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
         commands = variable.index in STATE_BEHIND_COMMAND and back is not None
-        kept = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
-        with verdict(0 if kept else CHECK_FAILED):
+        equal = commands or back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
+        with verdict(0 if equal else CHECK_FAILED):
             if as_json:
                 print_json(None if back is None else back.as_dict(node_id))
             else:
                 echo("written; it can only be written" if back is None else str(back))
                 if commands:
                     say(f"coulombus: {data.hex(' ')} was taken; a write of this object is a command")
-            if not kept:
+            if not equal:
                 say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
 
 
 @sdo.command(epilog=EXIT_STATUS)
-@node_argument
-@click.argument("output", type=OutputFile(".dcf"), metavar="F.dcf")
-@device_options
-@force_option
-@json_option
+@with_options
 def dump(
-    node_id: int,
-    output: Path,
+    node_id: NodeArgument,
+    output: Annotated[Path, argument(type=OutputFile(".dcf"), metavar="F.dcf")],
     reached: DeviceOptions,
-    overwrite: bool,
-    as_json: bool,
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Write the configuration of a device to a DCF file (CiA 306).
 
@@ -242,14 +220,16 @@ def _described(device: KnownDevice) -> Any:
 
 
 @sdo.command(epilog=EXIT_STATUS)
-@node_argument
-@click.argument("dcf", type=click.Path(readable=False, path_type=Path), metavar="F.dcf")
-@devices_bus_option
-@timeout_option
-@beside_option
-@click.option("--yes", is_flag=True, help="Write without asking.")
-@json_option
-def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bool, yes: bool, as_json: bool) -> None:
+@with_options
+def restore(
+    node_id: NodeArgument,
+    dcf: Annotated[Path, argument(type=UNCHECKED_PATH, metavar="F.dcf")],
+    bus_name: DevicesBusOption,
+    timeout_s: TimeoutOption,
+    beside: BesideOption,
+    yes: Annotated[bool, option("Write without asking.")],
+    as_json: JsonOption,
+) -> None:
     """Write the values of a DCF file to a device: what differs is shown first, and only that is
     written.
 
@@ -334,12 +314,14 @@ def _print_differences(differences: list[Difference]) -> None:
 
 
 @sdo.command(epilog=EXIT_STATUS)
-@node_argument
-@devices_bus_option
-@part_option
-@storing_option
-@beside_option
-def store(node_id: int, bus_name: str, part: int, timeout_s: float, beside: bool) -> None:
+@with_options
+def store(
+    node_id: NodeArgument,
+    bus_name: DevicesBusOption,
+    part: PartOption,
+    timeout_s: StoringOption,
+    beside: BesideOption,
+) -> None:
     """Let a device keep its parameters when it is switched off (1010h, "save").
 
     \b
@@ -356,12 +338,14 @@ def store(node_id: int, bus_name: str, part: int, timeout_s: float, beside: bool
 
 
 @sdo.command("restore-defaults", epilog=EXIT_STATUS)
-@node_argument
-@devices_bus_option
-@part_option
-@storing_option
-@beside_option
-def restore_defaults(node_id: int, bus_name: str, part: int, timeout_s: float, beside: bool) -> None:
+@with_options
+def restore_defaults(
+    node_id: NodeArgument,
+    bus_name: DevicesBusOption,
+    part: PartOption,
+    timeout_s: StoringOption,
+    beside: BesideOption,
+) -> None:
     """Give a device its maker's parameters back, from its next reset on (1011h, "load").
 
     \b
@@ -378,9 +362,11 @@ def restore_defaults(node_id: int, bus_name: str, part: int, timeout_s: float, b
 
 
 @sdo.command(epilog=EXIT_STATUS)
-@node_argument
-@device_options
-def shell(node_id: int, reached: DeviceOptions) -> None:
+@with_options
+def shell(
+    node_id: NodeArgument,
+    reached: DeviceOptions,
+) -> None:
     """Read and write objects one after the other, with completion of names (Tab) and a history.
 
     From a pipe the first line that fails ends it, with that line's exit status.

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import click
 
-from coulombus.cli.common import say
 from coulombus.cli.tables import echo
 from coulombus.eds.reader import EdsError
 from coulombus.eds.sdo_frames import where
@@ -21,6 +20,7 @@ from coulombus.host.devices.nmt import COMMANDS, command
 from coulombus.host.devices.running_host import check_alone
 from coulombus.host.errors import HostError
 from coulombus.host.sdo.sdo_client import store_parameters
+from coulombus.system.exit import say
 from coulombus.system.stop_signals import Stopped, forget
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import BusLink
@@ -110,8 +110,8 @@ class Shell(cmd.Cmd):
 
     def default(self, line: str) -> None:
         """Refuse an unknown command."""
-        known = ", ".join(name[3:] for name in self.get_names() if name.startswith("do_") and name != "do_EOF")
-        raise click.UsageError(f"{line.split()[0]!r} is not a command; expected one of {known}")
+        commands = ", ".join(name[3:] for name in self.get_names() if name.startswith("do_") and name != "do_EOF")
+        raise click.UsageError(f"{line.split()[0]!r} is not a command; expected one of {commands}")
 
     # completion
 

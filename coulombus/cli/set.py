@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import bus_option, channel_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.hosts import host_addresses
+from coulombus.cli.options import BusOption, ChannelOption, JsonOption, RigOption, argument, option, with_options
+from coulombus.cli.rig_options import host_addresses
 from coulombus.cli.tables import echo, print_table, table_console
+from coulombus.system.exit import verdict
 
 __all__ = ["set_command"]
 
@@ -54,49 +54,33 @@ def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> fl
 class Manner:
     """Axis, ramp time and permission of a change, from the options."""
 
-    axis: str
-    over_s: float | None
-    undo: bool
-    key: str
+    axis: Annotated[str, option("Axis of a rig with several.", default="", metavar="NAME")]
+    over_s: Annotated[
+        float | None,
+        option(
+            "--over", "Ramp to the new values within this time.  [default: 0.5s]", callback=_seconds, metavar="TIME"
+        ),
+    ]
+    undo: Annotated[bool, option("Take the last change back; again: the one before it.")]
+    key: Annotated[
+        str, option("The arm key that `coulombus run` has printed, on a real rig.", default="", metavar="KEY")
+    ]
 
-    def order(self, values: dict[str, float]) -> dict[str, Any]:
-        """Return the order for the host."""
-        order: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
-        return order if self.over_s is None else {**order, "over_s": self.over_s}
-
-
-manner_options = bundle(
-    "manner",
-    Manner,
-    click.option("--axis", default="", metavar="NAME", help="Axis of a rig with several."),
-    click.option(
-        "--over",
-        "over_s",
-        callback=_seconds,
-        metavar="TIME",
-        help="Ramp to the new values within this time.  [default: 0.5s]",
-    ),
-    click.option("--undo", is_flag=True, help="Take the last change back; again: the one before it."),
-    click.option(
-        "--key", default="", metavar="KEY", help="The arm key that `coulombus run` has printed, on a real rig."
-    ),
-)
+    def request(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return the request to the host."""
+        request: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
+        return request if self.over_s is None else {**request, "over_s": self.over_s}
 
 
 @click.command("set", epilog=EXIT_STATUS)
-@click.argument("values", nargs=-1, metavar="[NAME=VALUE]...", callback=_values)
-@manner_options
-@rig_option
-@bus_option
-@channel_option
-@json_option
+@with_options
 def set_command(
-    values: dict[str, float],
+    values: Annotated[dict[str, float], argument(nargs=-1, metavar="[NAME=VALUE]...", callback=_values)],
     manner: Manner,
-    rig_name: str,
-    bus_name: str | None,
-    channel: str | None,
-    as_json: bool,
+    rig_name: RigOption,
+    bus_name: BusOption,
+    channel: ChannelOption,
+    as_json: JsonOption,
 ) -> None:
     """Change parameters of the law while the host on a bus displays it; without any, list them.
 
@@ -119,7 +103,7 @@ def set_command(
         if others:
             names = ", ".join(map(str, (address, *others)))
             raise click.UsageError(f"the rig has the buses {names}; name one with --channel or --bus")
-        reply = ask_change(address, manner.order(values))
+        reply = ask_change(address, manner.request(values))
         with verdict(0):
             if as_json:
                 print_json(reply)

@@ -4,32 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 from click.core import ParameterSource
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import (
-    check_mode,
-    display_s,
-    faults_option,
-    force_option,
-    json_option,
-    mode_option,
-    record_option,
-    rig_option,
-    script_option,
-    seconds_option,
-    seed_option,
-    set_option,
-    verdict,
-)
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json, remark
 from coulombus.cli.option_types import InputPath, OutputFile
-from coulombus.cli.rig_options import RigOptions
+from coulombus.cli.options import (
+    DisplaySecondsOption,
+    FaultsOption,
+    JsonOption,
+    ModeOption,
+    OverwriteOption,
+    RecordOption,
+    ScriptOption,
+    SeedOption,
+    option,
+    with_options,
+)
+from coulombus.cli.rig_options import RigOptions, check_mode, display_s
 from coulombus.cli.run_table import print_runs
 from coulombus.cli.tables import echo, progress
+from coulombus.system.exit import verdict
 
 if TYPE_CHECKING:
     from coulombus.host.run.run import Outputs, Run
@@ -41,22 +38,36 @@ __all__ = ["simulate_command"]
 class Files:
     """Output files of ``simulate``, from the options."""
 
-    record: Path | None
-    truth: Path | None
-    overwrite: bool
+    record: RecordOption
+    overwrite: OverwriteOption
+    truth: Annotated[
+        Path | None,
+        option(
+            "Save the plant's true states there, at its own step: time, angle, speed, torques, works.",
+            type=OutputFile(),
+            metavar="F.npz",
+        ),
+    ]
 
 
 @dataclass(frozen=True)
 class RunOptions(RigOptions):
     """A run in virtual time, from the options."""
 
-    mode: str
-    seconds: float | None
-    seed: int
-    faults: Path | None
-    script: Path | None
-    law: str | None
-    like: Path | None
+    mode: ModeOption
+    seconds: DisplaySecondsOption
+    seed: SeedOption
+    faults: FaultsOption
+    script: ScriptOption
+    law: Annotated[str | None, option("Display this law: one of `coulombus law`, or FILE.py:FUNCTION.", metavar="NAME")]
+    like: Annotated[
+        Path | None,
+        option(
+            "Repeat the run of this recording: a simulated one to the byte. Its own law's file is named by --law.",
+            type=InputPath(),
+            metavar="F.pcapng",
+        ),
+    ]
 
     def run(self, outputs: Outputs) -> Run:
         """Return the run: that of the options, or that of a recording."""
@@ -86,42 +97,18 @@ def _refuse_beside_like() -> None:
     """Refuse options that describe a run beside --like, which names the whole run."""
     context = click.get_current_context()
     names = ("rig_name", "overrides", "mode", "seed", "faults", "script")
-    for option in context.command.params:
-        if option.name in names and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{option.opts[0]}: --like repeats the run of a recording as it was: leave it out")
-
-
-files_options = bundle(
-    "files",
-    Files,
-    record_option,
-    force_option,
-    click.option(
-        "--truth",
-        type=OutputFile(),
-        metavar="F.npz",
-        help="Save the plant's true states there, at its own step: time, angle, speed, torques, works.",
-    ),
-)
-run_options = bundle(
-    "chosen",
-    RunOptions,
-    *(rig_option, set_option, mode_option, seconds_option, seed_option, faults_option, script_option),
-    click.option("--law", metavar="NAME", help="Display this law: one of `coulombus law`, or FILE.py:FUNCTION."),
-    click.option(
-        "--like",
-        type=InputPath(),
-        metavar="F.pcapng",
-        help="Repeat the run of this recording: a simulated one to the byte. Its own law's file is named by --law.",
-    ),
-)
+    for param in context.command.params:
+        if param.name in names and context.get_parameter_source(param.name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{param.opts[0]}: --like repeats the run of a recording as it was: leave it out")
 
 
 @click.command("simulate", epilog=EXIT_STATUS)
-@run_options
-@files_options
-@json_option
-def simulate_command(chosen: RunOptions, files: Files, as_json: bool) -> None:
+@with_options
+def simulate_command(
+    options: RunOptions,
+    files: Files,
+    as_json: JsonOption,
+) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
 
     The run lasts from the drive's Operation Enabled, where the operator's schedule begins.
@@ -142,7 +129,7 @@ def simulate_command(chosen: RunOptions, files: Files, as_json: bool) -> None:
         from coulombus.lab.simulate import virtual_run
         from coulombus.sim_bus.faults.fault_file import injected_lines
 
-        run = chosen.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
+        run = options.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
         with progress(not as_json) as report:
             result = virtual_run(run, progress=lambda t: report(run.mode, t, run.seconds))
         remark((*(result.opened or ()), *(result.losses or ())))

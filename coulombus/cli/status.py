@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.cli.common import buses_option, json_option, rig_option, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.hosts import host_addresses
+from coulombus.cli.options import BusesOption, JsonOption, RigOption, with_options
+from coulombus.cli.rig_options import host_addresses
 from coulombus.cli.tables import echo
+from coulombus.system.exit import verdict
 
 if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
@@ -18,10 +19,12 @@ __all__ = ["status"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@buses_option
-@json_option
-def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
+@with_options
+def status(
+    rig_name: RigOption,
+    bus_names: BusesOption,
+    as_json: JsonOption,
+) -> None:
     """Ask the host that runs on a bus what it is doing: phase, torques, lateness, counters.
 
     The host answers beside its data plane, whose cycle is not disturbed. Ends with 4 where no host
@@ -43,7 +46,7 @@ def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
                 print_json(states[0] if len(states) == 1 else states)
             else:
                 for state in states:
-                    _tell(state)
+                    _print_state(state)
 
 
 def _state(address: BusAddress) -> dict[str, Any]:
@@ -70,7 +73,7 @@ def _state(address: BusAddress) -> dict[str, Any]:
         raise NoHost(f"{text}; what to do: {command}" if command else text) from None
 
 
-def _tell(state: dict[str, Any]) -> None:
+def _print_state(state: dict[str, Any]) -> None:
     """Print a host's state as text."""
     shown = state.get("display_s")
     since = "not yet displaying" if shown is None else f"displaying for {_number(shown)} s"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import buses_option, rig_option, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.hosts import host_addresses
+from coulombus.cli.options import BusesOption, RigOption, option, with_options
+from coulombus.cli.rig_options import host_addresses
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say, verdict
 
 if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
@@ -19,10 +20,12 @@ __all__ = ["stop"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@buses_option
-@click.option("--all", "every", is_flag=True, help="Stop every host that runs on this machine.")
-def stop(rig_name: str, bus_names: tuple[str, ...], every: bool) -> None:
+@with_options
+def stop(
+    rig_name: RigOption,
+    bus_names: BusesOption,
+    every: Annotated[bool, option("--all", "Stop every host that runs on this machine.")],
+) -> None:
     """Stop the running host safely: motor torque 0, brake ramped off, drive disabled.
 
     Waits for its end. Without --bus and --rig it is the one host that runs on this machine, on

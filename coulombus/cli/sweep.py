@@ -7,13 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from coulombus.cli.common import force_option, json_option, say, verdict
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.option_types import UNCHECKED_PATH
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, running
+from coulombus.system.exit import say, verdict
 from coulombus.system.quoting import shell
 
 if TYPE_CHECKING:
@@ -26,34 +28,42 @@ TOLD_EVERY_S = 10.0
 
 
 @click.command("sweep", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(readable=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(readable=False, file_okay=False, path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of the runs.",
-)
-@click.option(
-    "--processes",
-    type=click.IntRange(1, 1024),
-    metavar="N",
-    help="Number of processes on this machine.  [default: one for each CPU]",
-)
-@click.option("--dask", metavar="ADDRESS", help="Run on a dask.distributed cluster: tcp://HOST:8786. The same numbers.")
-@click.option(
-    "--keep-recordings",
-    "keep",
-    type=click.Choice(("none", "failing", "all")),
-    default="none",
-    show_default=True,
-    help="Keep recordings of the runs that trip or miss a rate, or of all.",
-)
-@force_option
-@json_option
+@with_options
 def sweep_command(
-    file: Path, out: Path, processes: int | None, dask: str | None, keep: Any, overwrite: bool, as_json: bool
+    file: Annotated[Path, argument(type=UNCHECKED_PATH)],
+    out: Annotated[
+        Path,
+        option(
+            "-o",
+            "--out",
+            "Folder of the runs.",
+            type=click.Path(readable=False, file_okay=False, path_type=Path),
+            required=True,
+            metavar="DIR",
+        ),
+    ],
+    processes: Annotated[
+        int | None,
+        option(
+            "Number of processes on this machine.  [default: one for each CPU]",
+            type=click.IntRange(1, 1024),
+            metavar="N",
+        ),
+    ],
+    dask: Annotated[
+        str | None, option("Run on a dask.distributed cluster: tcp://HOST:8786. The same numbers.", metavar="ADDRESS")
+    ],
+    keep: Annotated[
+        Any,
+        option(
+            "--keep-recordings",
+            "Keep recordings of the runs that trip or miss a rate, or of all.",
+            type=click.Choice(("none", "failing", "all")),
+            default="none",
+        ),
+    ],
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
 ) -> None:
     """Simulate many rigs and hands, and count how often they fail.
 
@@ -98,10 +108,10 @@ def sweep_command(
             if as_json:
                 print_json(result.as_dict())
             else:
-                _tell(result, sweep.seconds)
+                _print_result(result, sweep.seconds)
 
 
-def _tell(result: SweepResult, seconds: float | None) -> None:
+def _print_result(result: SweepResult, seconds: float | None) -> None:
     """Print the result of a sweep."""
     for rate in result.rates.values():
         echo(rate.text)

@@ -5,36 +5,40 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import bus_option, check_mode, force_option, load, mode_option, printed, rig_option
 from coulombus.cli.errors import EXIT_STATUS, errors
 from coulombus.cli.option_types import OutputDirectory
+from coulombus.cli.options import BusOption, ModeOption, OverwriteOption, RigOption, option, with_options
+from coulombus.cli.rig_options import check_mode, load
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed
 
 __all__ = ["systemd"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@rig_option
-@bus_option
-@mode_option
-@click.option("--user", is_flag=True, help="For your own service manager (systemctl --user), not for the system's.")
-@click.option("--bridge", is_flag=True, help="Join a virtual bus with can0: with a bridge and that interface's files.")
-@click.option(
-    "-o",
-    "--out",
-    "folder",
-    type=OutputDirectory(make=False),
-    default=Path("coulombus-systemd"),
-    show_default=True,
-    metavar="DIR",
-    help="Where the files are written.",
-)
-@force_option
+@with_options
 def systemd(
-    rig_name: str, bus_name: str | None, mode: str, user: bool, bridge: bool, folder: Path, overwrite: bool
+    rig_name: RigOption,
+    bus_name: BusOption,
+    mode: ModeOption,
+    user: Annotated[bool, option("For your own service manager (systemctl --user), not for the system's.")],
+    bridge: Annotated[bool, option("Join a virtual bus with can0: with a bridge and that interface's files.")],
+    folder: Annotated[
+        Path,
+        option(
+            "-o",
+            "--out",
+            "Where the files are written.",
+            type=OutputDirectory(make=False),
+            default=Path("coulombus-systemd"),
+            metavar="DIR",
+        ),
+    ],
+    overwrite: OverwriteOption,
 ) -> None:
     """Write systemd units for host, simulation and bridge, and what belongs to them: user, limits, and
     for a CAN interface device rules and its set-up.
@@ -76,13 +80,13 @@ def systemd(
             user=user,
             bridge=bridge,
         )
-        made = {folder / name: text for name, text in files(service).items()}
+        texts = {folder / name: text for name, text in files(service).items()}
         folder.mkdir(parents=True, exist_ok=True)
-        for path in made:  # all or none
+        for path in texts:  # all or none
             check_output(path, force=overwrite)
-        for path, text in made.items():
+        for path, text in texts.items():
             with new_file(path, force=overwrite) as new:
                 new.write_text(text)
         with printed():
-            for path in made:
+            for path in texts:
                 echo(str(path))

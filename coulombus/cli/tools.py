@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import force_option, json_option, printed
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import OutputDirectory
-from coulombus.cli.rig_options import KnownBusOptions, known_bus_options
+from coulombus.cli.options import JsonOption, OverwriteOption, argument, with_options
+from coulombus.cli.rig_options import KnownBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed
 
 __all__ = ["tools"]
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("folder", metavar="DIR", type=OutputDirectory())
-@known_bus_options
-@force_option
-@json_option
-def tools(folder: Path, chosen: KnownBusOptions, overwrite: bool, as_json: bool) -> None:
+@with_options
+def tools(
+    folder: Annotated[Path, argument(metavar="DIR", type=OutputDirectory())],
+    bus_options: KnownBusOptions,
+    overwrite: OverwriteOption,
+    as_json: JsonOption,
+) -> None:
     """Write files that describe the rig, or devices by their EDS files, to other tools into the
     folder DIR.
 
@@ -39,7 +43,7 @@ def tools(folder: Path, chosen: KnownBusOptions, overwrite: bool, as_json: bool)
         from coulombus.monitor.tools.tool_files import tool_files
         from coulombus.recording.output_file import new_file, reason_against
 
-        bus, _ = chosen.known()
+        bus, _ = bus_options.known()
         files = {folder / name: text for name, text in tool_files(bus).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import json_option, say
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
+from coulombus.cli.options import JsonOption, option, with_options
 from coulombus.cli.tables import echo, running
+from coulombus.system.exit import say
 
 __all__ = ["warm_up_command"]
 
 
 @click.command("warm-up", epilog=EXIT_STATUS)
-@click.option("--without-arm", is_flag=True, help="Leave out what only an arm in the plane needs.")
-@json_option
-def warm_up_command(as_json: bool, without_arm: bool) -> None:
+@with_options
+def warm_up_command(
+    without_arm: Annotated[bool, option("Leave out what only an arm in the plane needs.")],
+    as_json: JsonOption,
+) -> None:
     """Compile the code of run, emulate, simulate and sweep in advance, with two processes.
 
     It is kept, for every rig, mode and law of the project, until the program or Numba is updated. A

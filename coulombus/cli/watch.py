@@ -6,17 +6,24 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from coulombus.cli.bundle import bundle
-from coulombus.cli.common import force_option, listed, say
 from coulombus.cli.errors import EXIT_STATUS, errors
-from coulombus.cli.option_types import SECONDS, InputPath, OutputFile
-from coulombus.cli.page_options import PageOptions, page_options, serve_last_page, serve_page, serve_recording_page
-from coulombus.cli.rig_options import WatchedBusOptions, watched_bus_options
+from coulombus.cli.option_types import SECONDS, OutputFile
+from coulombus.cli.options import (
+    JsonLinesOption,
+    OptionalRecordingArgument,
+    OverwriteOption,
+    listed,
+    option,
+    with_options,
+)
+from coulombus.cli.page_options import PageOptions, serve_last_page, serve_page, serve_recording_page
+from coulombus.cli.rig_options import WatchedBusOptions
 from coulombus.cli.tables import echo
+from coulombus.system.exit import say
 
 if TYPE_CHECKING:
     from coulombus.monitor.snapshot import HostLine
@@ -53,17 +60,56 @@ def host_line(address: BusAddress) -> HostLine | None:
     return HostLine(text + (f"  trip: {trip}" if trip else ""), "tripped" if trip else "runs")
 
 
+def _signal_names(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> tuple[str, ...]:
+    return listed(texts) or ()
+
+
 @dataclass(frozen=True)
 class View:
     """View of a live bus, or tool to forward it to, from the options."""
 
-    interval: float | None
-    pcapng: Path | None
-    overwrite: bool
-    scope: tuple[str, ...]
-    foxglove: int | None
-    plotjuggler: int | None
-    last: bool
+    interval: Annotated[
+        float | None,
+        option("Refresh interval in s.  [default: 0.1 in a terminal, else 1]", type=click.FloatRange(0.02)),
+    ]
+    pcapng: Annotated[
+        Path | None,
+        option(
+            "Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
+            type=OutputFile(".pcapng", dash=True),
+            metavar="F",
+        ),
+    ]
+    overwrite: OverwriteOption
+    scope: Annotated[
+        tuple[str, ...],
+        option(
+            "Draw these signals over the last 10 s, in a terminal.",
+            callback=_signal_names,
+            metavar="A,B",
+        ),
+    ]
+    foxglove: Annotated[
+        int | None,
+        option(
+            "Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
+            type=click.IntRange(0, 65535),
+            is_flag=False,
+            flag_value=8765,
+            metavar="[PORT]",
+        ),
+    ]
+    plotjuggler: Annotated[
+        int | None,
+        option(
+            "Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
+            type=click.IntRange(1, 65535),
+            is_flag=False,
+            flag_value=9870,
+            metavar="[PORT]",
+        ),
+    ]
+    last: Annotated[bool, option("With --web: the page as it was at the last trip.")]
 
     def check(self, page: PageOptions, as_json: bool, eds: bool = False) -> None:
         """Refuse incompatible options.
@@ -81,84 +127,36 @@ class View:
         }
         if self.last and not page.web:
             raise click.UsageError("--last is of the page: add --web; for text: coulombus status")
-        given = [option for option, value in ways.items() if value is not None and value is not False]
-        if len(given) > 1:
-            raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
-        if self.scope and (given or as_json or not sys.stdout.isatty()):
-            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(given) or 'it'} out")
-        if given and self.interval is not None:
-            raise click.UsageError(f"--interval is of the table in a terminal: leave it or {given[0]} out")
+        ways_out = [option for option, value in ways.items() if value is not None and value is not False]
+        if len(ways_out) > 1:
+            raise click.UsageError(f"{ways_out[0]} and {ways_out[1]}: choose one of them")
+        if self.scope and (ways_out or as_json or not sys.stdout.isatty()):
+            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(ways_out) or 'it'} out")
+        if ways_out and self.interval is not None:
+            raise click.UsageError(f"--interval is of the table in a terminal: leave it or {ways_out[0]} out")
         if self.pcapng is not None and as_json:
             raise click.UsageError("--pcapng shows nothing: leave --json out")
-        if eds and (given or self.scope):
-            raise click.UsageError(f"--eds is of a bus without a rig: leave {(given or ['--scope'])[0]} out")
-
-
-view_options = bundle(
-    "view",
-    View,
-    click.option(
-        "--interval",
-        type=click.FloatRange(0.02),
-        default=None,
-        help="Refresh interval in s.  [default: 0.1 in a terminal, else 1]",
-    ),
-    click.option(
-        "--pcapng",
-        "pcapng",
-        type=OutputFile(".pcapng", dash=True),
-        metavar="F",
-        help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
-    ),
-    force_option,
-    click.option(
-        "--scope",
-        multiple=True,
-        callback=lambda ctx, param, texts: listed(texts) or (),
-        metavar="A,B",
-        help="Draw these signals over the last 10 s, in a terminal.",
-    ),
-    click.option(
-        "--foxglove",
-        type=click.IntRange(0, 65535),
-        is_flag=False,
-        flag_value=8765,
-        metavar="[PORT]",
-        help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
-    ),
-    click.option(
-        "--plotjuggler",
-        type=click.IntRange(1, 65535),
-        is_flag=False,
-        flag_value=9870,
-        metavar="[PORT]",
-        help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
-    ),
-    click.option("--last", is_flag=True, help="With --web: the page as it was at the last trip."),
-)
+        if eds and (ways_out or self.scope):
+            raise click.UsageError(f"--eds is of a bus without a rig: leave {(ways_out or ['--scope'])[0]} out")
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=InputPath())
-@watched_bus_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
-@view_options
-@page_options
-@click.option(
-    "--beside",
-    type=click.Choice(("plots", "bus")),
-    hidden=True,
-    help="Another verb began this page, which opens with this view, and ends it.",
-)
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+@with_options
 def watch(
-    file: Path | None,
-    chosen: WatchedBusOptions,
-    seconds: float | None,
+    file: OptionalRecordingArgument,
+    bus_options: WatchedBusOptions,
+    seconds: Annotated[float | None, option("End after this time.", type=SECONDS)],
     view: View,
     page: PageOptions,
-    beside: str | None,
-    as_json: bool,
+    beside: Annotated[
+        str | None,
+        option(
+            "Another verb began this page, which opens with this view, and ends it.",
+            type=click.Choice(("plots", "bus")),
+            hidden=True,
+        ),
+    ],
+    as_json: JsonLinesOption,
 ) -> None:
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
     emergencies, losses.
@@ -189,29 +187,29 @@ def watch(
         from coulombus.monitor.watch import LiveView
         from coulombus.monitor.watch import watch as run
 
-        view.check(page, as_json, eds=bool(chosen.eds) and file is None)
+        view.check(page, as_json, eds=bool(bus_options.eds) and file is None)
         if view.last and file is not None:
             raise click.UsageError(f"{file} and --last: choose one of them")
         if view.last:
             from coulombus.wire.address import parse_address
 
             serve_last_page(
-                *(None if chosen.bus_name is None else parse_address(chosen.bus_name), page),
+                *(None if bus_options.bus_name is None else parse_address(bus_options.bus_name), page),
                 seconds=seconds,
                 as_json=as_json,
             )
             return
         if file is not None:
-            _open(file, chosen, page, seconds=seconds, as_json=as_json)
+            _open(file, bus_options, page, seconds=seconds, as_json=as_json)
             return
-        known, address = chosen.known(chosen.bus_name)
-        rig = known.rig
+        bus, address = bus_options.known(bus_options.bus_name)
+        rig = bus.rig
         if rig is not None and (view.foxglove is not None or view.plotjuggler is not None):
             _forward(rig, address, view, seconds=seconds, as_json=as_json)
         elif rig is not None and page.web:
             serve_page(
                 *(rig, address, page),
-                rig_name=chosen.rig_name,
+                rig_name=bus_options.rig_name,
                 seconds=seconds,
                 as_json=as_json,
                 beside=beside,
@@ -226,10 +224,10 @@ def watch(
                 force=view.overwrite,
             )
         else:
-            named = chosen.names_rig
-            assumed = not (named or view.scope or chosen.overrides)
+            named = bus_options.names_rig
+            assumed = not (named or view.scope or bus_options.overrides)
             run(
-                known,
+                bus,
                 address,
                 LiveView(as_json, view.interval, named, view.scope, assumed),
                 seconds=seconds,
@@ -237,7 +235,9 @@ def watch(
             )
 
 
-def _open(file: Path, chosen: WatchedBusOptions, page: PageOptions, *, seconds: float | None, as_json: bool) -> None:
+def _open(
+    file: Path, bus_options: WatchedBusOptions, page: PageOptions, *, seconds: float | None, as_json: bool
+) -> None:
     """Serve a recording's page until a signal.
 
     Raises
@@ -247,12 +247,12 @@ def _open(file: Path, chosen: WatchedBusOptions, page: PageOptions, *, seconds: 
     """
     if not page.web:
         raise click.UsageError(f"watch {file} needs --web; for text: coulombus decode {file}, coulombus explain {file}")
-    if chosen.bus_name is not None:
+    if bus_options.bus_name is not None:
         raise click.UsageError("a FILE and --bus: choose one of them")
     serve_recording_page(
-        *(file, page, chosen.files()),
-        rig_name=chosen.rig_name if chosen.names_rig and not chosen.eds else None,
-        channel=chosen.channel,
+        *(file, page, bus_options.files()),
+        rig_name=bus_options.rig_name if bus_options.names_rig and not bus_options.eds else None,
+        channel=bus_options.channel,
         seconds=seconds,
         as_json=as_json,
     )

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Annotated
 
 import click
 
-from coulombus.cli.common import BUS_VARIABLE, printed
 from coulombus.cli.errors import EXIT_STATUS, errors
+from coulombus.cli.options import BUS_VARIABLE, option, with_options
 from coulombus.cli.page_options import LOOPBACK, tornado_needed
 from coulombus.cli.tables import echo
+from coulombus.system.exit import printed
 
 __all__ = ["world"]
 
@@ -18,27 +20,20 @@ PORT = 8643
 
 
 @click.command("world", epilog=EXIT_STATUS)
-@click.option(
-    "--bus",
-    "bus_text",
-    envvar=BUS_VARIABLE,
-    metavar="B",
-    default="coulombus:bench",
-    show_default=True,
-    help="The host's bus.",
-)
-@click.option(
-    "--page", type=click.Path(path_type=Path, exists=True, dir_okay=False), help="Page to serve: one HTML file."
-)
-@click.option(
-    "--web-port", type=click.IntRange(0, 65535), metavar="N", default=PORT, show_default=True, help="0: a free port."
-)
-@click.option(
-    "--web-host", metavar="H", default=LOOPBACK, show_default=True, help="Address of this machine to serve at."
-)
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object: ready, with the URL.")
-def world(bus_text: str, page: Path | None, web_port: int, web_host: str, seconds: float | None, as_json: bool) -> None:
+@with_options
+def world(
+    bus_text: Annotated[
+        str, option("--bus", "The host's bus.", envvar=BUS_VARIABLE, metavar="B", default="coulombus:bench")
+    ],
+    page: Annotated[
+        Path | None,
+        option("Page to serve: one HTML file.", type=click.Path(path_type=Path, exists=True, dir_okay=False)),
+    ],
+    web_port: Annotated[int, option("0: a free port.", type=click.IntRange(0, 65535), metavar="N", default=PORT)],
+    web_host: Annotated[str, option("Address of this machine to serve at.", metavar="H", default=LOOPBACK)],
+    seconds: Annotated[float | None, option("End after this many seconds.", type=click.FloatRange(0, min_open=True))],
+    as_json: Annotated[bool, option("--json", "One JSON object: ready, with the URL.")],
+) -> None:
     """Let WebSocket clients use the display of `coulombus run --world`: browsers, game engines.
 
     Prints the address, which has the token. A client connects to ws://.../TOKEN/world.
@@ -58,8 +53,8 @@ def world(bus_text: str, page: Path | None, web_port: int, web_host: str, second
             from coulombus.monitor.web.world_gateway import Gateway, serve_gateway
 
         address = parse_address(bus_text)
-        kept = f"{address.kind}-{address.name}".replace("/", "_") + ".world-token"
-        token = kept_token(socket_path(address.kind).parent / kept)
+        token_file = f"{address.kind}-{address.name}".replace("/", "_") + ".world-token"
+        token = kept_token(socket_path(address.kind).parent / token_file)
 
         def ready(url: str) -> None:
             socket_url = url.replace("http:", "ws:", 1) + "world"

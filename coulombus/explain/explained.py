@@ -31,12 +31,12 @@ from coulombus.explain.rare import RareFrames
 from coulombus.explain.stamp_batches import OF_TIMES, StampBatches
 from coulombus.explain.straight_times import StraightTimes
 from coulombus.explain.sync_timing import SyncTiming
-from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
+from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.reading import HOST, RIG
-from coulombus.recording.span import SpanError
+from coulombus.recording.time_search import SpanError
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
 from coulombus.wire.frame import Records, data_bytes
 
@@ -327,7 +327,7 @@ def explain(
         The file is damaged, is of another kind, or has no frame.
     coulombus.recording.bus_match.ChannelError
         The file has several buses, and `channel` names none of them.
-    coulombus.recording.span.SpanError
+    coulombus.recording.time_search.SpanError
         There is no frame in the span.
     """
     remarks: list[str] = []

@@ -1,5 +1,7 @@
-"""Commissioning in one call: a rig file is commissioned in virtual time, on a rig whose truth is
-known.
+"""Commissioning in virtual time: a rig file is commissioned on a rig whose truth is known (`commission`).
+
+The host uses its rig file, the simulated rig its true values, and a simulated hand follows the steps' instructions
+(`rehearsed`).
 """
 
 from __future__ import annotations
@@ -12,14 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.commission.report import write_report
-from coulombus.host.commission.session import Session, StepEnd, results
-from coulombus.host.commission.step import CommissionError, Finding, Given
+from coulombus.host.commission.session import Runner, Session, StepEnd, results
+from coulombus.host.commission.step import CommissionError, Exercise, Finding, Given
 from coulombus.host.commission.steps import STEPS
-from coulombus.lab.rehearsal import rehearsed
+from coulombus.host.run.result import RunResult
+from coulombus.lab.simulate import simulate
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Commissioned", "commission"]
+__all__ = ["Commissioned", "commission", "rehearsed"]
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,9 @@ def commission(
     coulombus.rigs.rig.RigError
         the rig file is wrong, or has several axes
     """
-    known = [step.name for step in STEPS]
-    if unknown := [name for name in steps if name not in known]:
-        raise CommissionError(f"steps={unknown[0]!r}: expected one of {', '.join(known)}")
+    names = [step.name for step in STEPS]
+    if unknown := [name for name in steps if name not in names]:
+        raise CommissionError(f"steps={unknown[0]!r}: expected one of {', '.join(names)}")
     file = Path(path_text(path, "path", 'commission("my-rig.toml")'))
     session = Session(file, rehearsed(truth, seed=seed, progress=progress), given or Given(), _now)
     ends = []
@@ -92,6 +95,33 @@ def commission(
             if ends[-1].what == "done":
                 write_report(session)  # of the steps so far, should the next step fail
     return Commissioned(tuple(ends), file, session.state.folder / "report.html")
+
+
+def rehearsed(truth: Rig | None, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Runner:
+    """Return a function that runs the exercises of commissioning in virtual time.
+
+    Parameters
+    ----------
+    truth : the true rig; None: the rig file of each exercise
+    seed : random seed
+    """
+
+    def run(exercise: Exercise, path: Path) -> RunResult:
+        mode = exercise.rig.one_axis().mode[exercise.mode]
+        same = (f"mode.{exercise.mode}.{key}={value!r}" for key, value in mode.model_dump().items())
+        true = (truth or exercise.rig).variant(*exercise.hand, *same)  # the true rig may lack the mode
+        return simulate(
+            exercise.rig,
+            exercise.mode,
+            exercise.seconds,
+            record=path,
+            seed=seed,
+            force=True,
+            simulated=true,
+            progress=progress,
+        )
+
+    return run
 
 
 def _now() -> str:

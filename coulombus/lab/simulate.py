@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from coulombus.host.cycle.records import Trip
 from coulombus.host.run.buses import merged
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Code, NamedText, Outputs, Run, recorded_run
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
-from coulombus.lab.set_up import give_back
-from coulombus.lab.virtual_course import VirtualCourse
+from coulombus.lab.virtual_course import TruthError, VirtualCourse
 from coulombus.lab.virtual_world import WorldFunction, with_world
 from coulombus.recording.output_file import check as check_output
-from coulombus.recording.output_file import open_new
 from coulombus.rigs.arguments import path_text, texts
 from coulombus.rigs.rig import Rig, load_rig
-from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan, faults_of
-from coulombus.sim_bus.faults.injection import Injection
-from coulombus.sim_bus.network.script import ScriptError, script_of
+from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
+from coulombus.sim_bus.network.script import ScriptError
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant import truth_columns
 from coulombus.system.errors import CoulombusError
@@ -39,31 +32,6 @@ SCRIPT, WORLD = (
     "simulate(world=lambda state: Wall(0.0, 2.0))",
 )
 """Correct calls, for messages."""
-
-
-class TruthError(CoulombusError):
-    """The plant's true course cannot be saved."""
-
-    exit_status = 2
-
-
-class _Events:
-    """The events of a run besides the rig's schedule: faults, script and world, ready to begin."""
-
-    def __init__(self, run: Run) -> None:
-        script = run.script
-        self.faults = None if run.faults is None else faults_of(run.faults.text, run.faults.name)
-        self._channels = run.rig.channels
-        if self.faults is not None and run.rig.one_cycle:
-            self.faults = self.faults.on_one(self._channels)
-        self.script: Callable[[VirtualRig], None] | None = script.function if isinstance(script, Code) else None
-        if isinstance(script, NamedText):
-            entries = script_of(script.text, script.name, [node.name for node in run.rig.nodes])
-            self.script = lambda world: world.plan(entries)
-
-    def faults_on(self, channel: str | None) -> FaultPlan | None:
-        """Return the faults of one bus; None: of the only host."""
-        return self.faults if channel is None or self.faults is None else self.faults.on(channel, self._channels)
 
 
 def simulate(
@@ -205,17 +173,21 @@ def virtual_run(
     """
     if run.world is not None:
         run = replace(run, rig=with_world(run.rig))
-    events = _Events(run)
     _check(run)
-    on_bus = partial(_on_bus, run, events, progress, on_world)
     if run.rig.one_cycle:
-        return on_bus(None)
-    results = {channel: on_bus(channel) for channel in run.rig.channels}  # the buses share nothing: in turn is exact
+        return VirtualCourse(run, None, progress, on_world).run(run.seconds)
+
+    def on_bus(channel: str, run: Run, stop_ns: int | None = None) -> RunResult:
+        return VirtualCourse(run, channel, progress, on_world, stop_ns).run(run.seconds)
+
+    results = {
+        channel: on_bus(channel, run) for channel in run.rig.channels
+    }  # the buses share nothing: in turn is exact
     trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
     if trips:  # the other buses again, stopped at that instant; their files are those of the first run
         first = min(trips)
-        again = partial(_on_bus, replace(run, outputs=replace(run.outputs, force=True)), events, progress, on_world)
-        results = {c: r if c == trips[first] else again(c, first) for c, r in results.items()}
+        again = replace(run, outputs=replace(run.outputs, force=True))
+        results = {c: r if c == trips[first] else on_bus(c, again, first) for c, r in results.items()}
     parts = {channel: result.as_dict() for channel, result in results.items()}
     return RunResult(**merged(parts, {channel: result.exit_status for channel, result in results.items()}))
 
@@ -235,63 +207,3 @@ def _check(run: Run) -> None:
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {run.seconds:g} s, or raise plant.step_s"
             )
-
-
-def _on_bus(
-    run: Run,
-    events: _Events,
-    progress: Callable[[float], None] | None,
-    on_world: Callable[[VirtualRig], None] | None,
-    channel: str | None,
-    stop_ns: int | None = None,
-) -> RunResult:
-    """Run the axes of one bus, None: of all; the host is stopped at `stop_ns`."""
-    if channel is not None:
-        run = replace(run, outputs=run.outputs.on(channel))
-    truth, force = run.outputs.truth, run.outputs.force
-    course = VirtualCourse(run, channel, progress)
-    world = course.world
-    try:
-        plan = events.faults_on(channel)
-        if plan is not None:
-            mark = course.mark if run.outputs.record is not None or course.measured else None
-            course.injection = Injection(world, plan, run.seed, mark)
-        for begin in (on_world, events.script):
-            if begin is not None:
-                begin(world)
-        if stop_ns is not None:
-            world.at(stop_ns, lambda _: world.ask_to_stop(Trip.OTHER_AXIS))
-        if truth is not None:  # check before the run that it can be written
-            _create(truth, force=force)
-        course.begin_recording(run)  # after all that may be refused
-        course.course(run.seconds or 0.0)
-    except BaseException:  # refused, or interrupted: the recording stays readable
-        course.close()
-        raise
-    course.close()
-    if truth is not None:
-        _save(truth, world.truth())
-    result = course.result()
-    if course.only_figures:
-        give_back(world)
-    return result
-
-
-def _create(path: Path, *, force: bool) -> None:
-    try:
-        os.close(open_new(path, force=force))
-    except OSError as error:
-        raise _no_truth(path, error) from error
-
-
-def _save(path: Path, arrays: Mapping[str, Any]) -> None:
-    try:
-        with path.open("wb") as file:  # given a name, numpy would append .npz to it
-            np.savez(file, **arrays)
-    except OSError as error:
-        raise _no_truth(path, error) from error
-
-
-def _no_truth(path: Path, error: OSError) -> TruthError:
-    reason = error.strerror or error
-    return TruthError(f"{path}: the truth cannot be written ({reason}); name a file with room for it")

@@ -37,7 +37,7 @@ def with_world(rig: Rig) -> Rig:
     return rig.with_world()
 
 
-class _Said:
+class _AxisModels:
     """The models that the function has returned for an axis."""
 
     def __init__(self) -> None:
@@ -66,12 +66,12 @@ class VirtualWorld:
     def __init__(self, function: WorldFunction, every: int = 1) -> None:
         self._function, self._every = function, every
         self._record = new_records(StateRecord)[0]
-        self._said: list[_Said] = []
+        self._models: list[_AxisModels] = []
         self._due_ns = 0
 
     def begin(self, world: VirtualRig) -> None:
         """Follow the host's cycles from its first one on."""
-        self._said = [_Said() for _ in world.controllers][: 1 if world.rig.in_plane else None]
+        self._models = [_AxisModels() for _ in world.controllers][: 1 if world.rig.in_plane else None]
         self._due_ns = int(world.controllers.host["next_ns"].min())
         self._wait(world)
 
@@ -86,16 +86,16 @@ class VirtualWorld:
         self._due_ns += int(k.control["period_ns"][0])
         cycle = int(k.host["cycle"][0])
         joints = len(k.each) if world.rig.in_plane else 1  # an arm displays when all its joints do
-        for number, said in enumerate(self._said):
+        for number, models in enumerate(self._models):
             finished = int(k.host["waiting"][number]) == 0  # else its window is longer than the period
             of_axes = k.host[number : number + joints]
             displayed = (of_axes["phase"] == RUN).all() and not of_axes["end_cycles"].any()
             if finished and displayed and cycle % self._every == 0:
-                self._ask(world, number, said)
+                self._ask(world, number, models)
         self._wait(world)
 
-    def _ask(self, world: VirtualRig, number: int, said: _Said) -> None:
+    def _ask(self, world: VirtualRig, number: int, models: _AxisModels) -> None:
         describe(world.controllers.axes, number, 0, self._record)
         model = model_of(self._function(state_of(self._record)))
         if model is not None:
-            world.render(said.record(model, number, world.models.slots[number]))
+            world.render(models.record(model, number, world.models.slots[number]))

@@ -30,7 +30,7 @@ from coulombus.kernels.compile_notice import compiled
 from coulombus.kernels.decorator import CACHE_DIR, Entry
 from coulombus.kernels.kernel_cache import damaged, empty, leave_lock_to_parent
 from coulombus.kernels.records import new_records
-from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.node import own_time
 from coulombus.node.device import Device
 from coulombus.node.record import new_nodes
@@ -131,7 +131,7 @@ def _loop() -> Iterator[None]:
 def _load_loop(rig: Rig) -> None:
     """Compile the loop in virtual time for a rig of this kind."""
     world = VirtualRig(rig, MODE)
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(1)
 

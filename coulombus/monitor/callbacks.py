@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from coulombus.recording.signal_names import signal_of
+from coulombus.recording.pdo_columns import signal_of
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig

@@ -23,13 +23,13 @@ from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
-from coulombus.recording.block_source import captures_of_bus
+from coulombus.recording.block import Block, Source
 from coulombus.recording.bus_match import Channel
+from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.file_content import Capture
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pdo_columns import PdoTable
-from coulombus.recording.signals import Recording, Source
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
@@ -64,7 +64,7 @@ def rows(recording: Source) -> Iterator[Row]:
         yield from _block_rows(block, services)
 
 
-def _block_rows(block: Recording, services: Mapping[str, _Services]) -> Iterator[Row]:
+def _block_rows(block: Block, services: Mapping[str, _Services]) -> Iterator[Row]:
     frames, channels = block.frames, block.capture.channels or ()
     first, of_source = _of_sources(block, services)
     table_of = np.full(len(frames), -1, np.int64)
@@ -96,13 +96,13 @@ def _late_rows(capture: Capture, epoch_ns: int) -> Iterator[Row]:
         yield common | {"service": "marker", "marker": text}
 
 
-def _of_sources(block: Recording, services: Mapping[str, _Services]) -> tuple[_Services, list[_Services]]:
+def _of_sources(block: Block, services: Mapping[str, _Services]) -> tuple[_Services, list[_Services]]:
     """Return the services of the first bus, and those of each source of a rig with several buses."""
     first, *_ = services.values()
     return first, [services.get(channel, first) for channel in block.capture.channels or ()]
 
 
-def _comments(block: Recording) -> dict[int, str]:
+def _comments(block: Block) -> dict[int, str]:
     """Return the comment of each row that has any, in one line."""
     comments: dict[int, str] = {}
     for row, text in block.capture.comments:
@@ -132,7 +132,7 @@ def text_lines(recording: Source) -> Iterator[list[str]]:
 
 
 def _block_lines(
-    block: Recording, services: Mapping[str, _Services], texts: dict[tuple[int, int, int, int], str]
+    block: Block, services: Mapping[str, _Services], texts: dict[tuple[int, int, int, int], str]
 ) -> list[str]:
     frames, channels = block.frames, block.capture.channels or ()
     first, of_source = _of_sources(block, services)

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.monitor.time_counts import TimeCounts
-from coulombus.recording.block_source import captures_of_bus
 from coulombus.recording.bus_match import Channel
+from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.recording.signals import Source

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope
-from coulombus.recording.pdo_columns import decode_field
-from coulombus.recording.signal_names import signal_of
+from coulombus.recording.pdo_columns import decode_field, signal_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.frame_batches import Block

@@ -21,7 +21,7 @@ from coulombus.recording.file_content import Capture
 from coulombus.rigs.arguments import WrongCall
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", "one_bus", "recorded_channel"]
+__all__ = ["BusMatch", "Channel", "ChannelError", "bus_names", "channel_texts", "recorded_channel"]
 
 Channel: TypeAlias = str | Sequence[str] | None
 """A bus of the file, or several as ``RIG_BUS=BUS``."""
@@ -75,14 +75,14 @@ class BusMatch:
     ----------
     path : the recording
     channels : the rig's buses
-    given : the user's choice, see `Channel`
+    selected : the user's choice, see `Channel`
     recorded : the rig's bus of a coulombus recording
     single : why there may be no more than one bus, where `channels` has one
     """
 
     path: str
     channels: tuple[str, ...]
-    given: tuple[str, ...] = ()
+    selected: tuple[str, ...] = ()
     recorded: str = ""
     single: str = "the rig has one"
     left_out: Counter[str] = field(default_factory=Counter)
@@ -91,11 +91,11 @@ class BusMatch:
     _in_order: bool = False
 
     @classmethod
-    def without_rig(cls, path: str, given: tuple[str, ...]) -> BusMatch:
+    def without_rig(cls, path: str, selected: tuple[str, ...]) -> BusMatch:
         """Return the match of a recording without a rig: to one bus."""
-        return cls(path, ("",), tuple(text.rpartition("=")[2] for text in given), single="they are of one bus each")
+        return cls(path, ("",), tuple(text.rpartition("=")[2] for text in selected), single="they are of one bus each")
 
-    def take(self, capture: Capture) -> Capture:
+    def select(self, capture: Capture) -> Capture:
         """Return a stretch with only the frames of the rig's buses.
 
         Raises
@@ -133,14 +133,14 @@ class BusMatch:
 
     def _match(self, names: tuple[str, ...]) -> None:
         before = self._channel_of
-        self._channel_of = self._by_hand(names) if self.given else self._by_name(names)
+        self._channel_of = self._by_hand(names) if self.selected else self._by_name(names)
         if any(self._channel_of.get(name) != channel for name, channel in before.items()):
             raise self._unknown(names)
         self._names = names
 
     def _by_hand(self, names: tuple[str, ...]) -> dict[str, str]:
         channel_of: dict[str, str] = {}
-        for text in self.given:
+        for text in self.selected:
             channel, _, name = text.rpartition("=")
             if len(names) == 1 and name == self.recorded:
                 name = names[0]
@@ -176,32 +176,20 @@ class BusMatch:
         remedy = f"say which is which: --channel {self.channels[0]}={_shown(names[0]) or 'NAME'}"
         return ChannelError(f"{self.path}: {_has(names)}, and the rig has the buses {listed}; {remedy}")
 
-    def _without(self, capture: Capture, kept: Any) -> Capture:
+    def _without(self, capture: Capture, is_matched: Any) -> Capture:
         frames = capture.frames
-        there = kept[frames["source"]]
-        for source, count in Counter(frames["source"][~there].tolist()).items():
+        remains = is_matched[frames["source"]]
+        for source, count in Counter(frames["source"][~remains].tolist()).items():
             self.left_out[capture.buses[source]] += count
-        rows = np.concatenate(([0], np.cumsum(there)))
+        rows = np.concatenate(([0], np.cumsum(remains)))
         last = int(rows[-1]) - 1  # a comment moves to the next remaining frame
         comments = [(min(int(rows[row]), last), text) for row, text in capture.comments if last >= 0]
-        return replace(capture, frames=frames[there], comments=comments)
+        return replace(capture, frames=frames[remains], comments=comments)
 
 
 def _by_number(name: str) -> tuple[list[str], list[int]]:
     """Return a sort key that puts can2 before can10."""
     return re.split(r"\d+", name), [int(digits) for digits in re.findall(r"\d+", name)]
-
-
-def one_bus(capture: Capture, given: tuple[str, ...]) -> tuple[Capture, tuple[str, ...]]:
-    """Return the frames of one bus of a recording without a rig; and remarks.
-
-    Raises
-    ------
-    ChannelError
-        It has several buses and none is named, or it lacks the named one.
-    """
-    match = BusMatch.without_rig(capture.path, given)
-    return match.take(capture), match.remarks()
 
 
 def _several(path: str, names: tuple[str, ...], why: str) -> ChannelError:

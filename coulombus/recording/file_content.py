@@ -1,10 +1,11 @@
-"""What a recording's file holds: frames, comments, attachments, and what was left out."""
+"""What a recording's file holds: frames, comments, attachments, and remarks on what was left out."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,10 +16,14 @@ from coulombus.recording.folders import segments_of
 from coulombus.recording.pcapng_blocks import attachment_block
 from coulombus.wire.frame import FRAME, Records
 
-__all__ = ["LATE", "Capture", "append_late", "joined", "pack_late", "unpack_late"]
+__all__ = ["HOST", "LATE", "UNSURE", "Capture", "append_late", "joined", "pack_late", "remarks_on", "unpack_late"]
 
+HOST = "host."
+"""Prefix of attachments that only the host's replay reads: many, and not text."""
 LATE = "markers"
 """Attachment with the markers after which no frame follows."""
+UNSURE = "unsure "
+"""Prefix of the names of positions that may have wrapped unseen in a gap."""
 
 
 def pack_late(markers: Sequence[tuple[int, str]]) -> bytes:
@@ -129,3 +134,21 @@ class Capture:
             return np.ones(len(self.frames), bool)
         numbers = [number for number, name in enumerate(self.channels) if name == channel]
         return np.isin(self.frames["source"], numbers)
+
+
+def remarks_on(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+    """Return the remarks: the file's warnings, and omitted data."""
+    texts = {
+        "torn": "the last block is unfinished: {} bytes were left out",
+        "skipped": "{} packets are no classical CAN frames and were left out",
+    }
+
+    def text(name: str) -> str:
+        if name.startswith(UNSURE):
+            return (
+                f"{name.removeprefix(UNSURE)} has {{}} gaps that are longer than its counter can be followed "
+                "(limits.encoder_jump_counts); after them it may be wrong by whole wraps"
+            )
+        return texts.get(name, f"{{}} frames of {name} have a wrong length")
+
+    return (*warnings, *(f"{path}: {text(name).format(n)}" for name, n in left_out.items() if n))

@@ -11,24 +11,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording.logs import blf, mf4, python_can, time_axis
+from coulombus.recording.logs import blf, mf4, python_can
 from coulombus.recording.logs.content import Content
 from coulombus.recording.logs.formats import FORMATS
-from coulombus.recording.logs.line_reader import LineReader
-from coulombus.recording.logs.log import Log, read_rows
-from coulombus.recording.logs.recognition import FormatMatch, recognise, refusal
+from coulombus.recording.logs.line_reader import FormatMatch, LineReader, read_rows, recognise, refusal
+from coulombus.recording.logs.log import DIFFERENCES, Log, are_differences, time_remarks
 from coulombus.recording.pcapng_blocks import other_format
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
-__all__ = ["EXPECTED", "WALL_CLOCK_NS", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
+__all__ = ["EXPECTED", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 
 EXPECTED = f"a pcapng file, or another tool's log: {', '.join(row.name for row in FORMATS)}, .blf, .mf4, .db"
 BINARY = {blf.MAGIC: ".blf", **dict.fromkeys(mf4.MAGICS, ".mf4"), b"SQLite format 3\0": ".db"}
 """First bytes -> format."""
 SNIFFED = 1 << 14
-WALL_CLOCK_NS = 10**17
-"""Stamps beyond this (1973) are wall-clock times; smaller ones count from the run's start."""
 
 
 class LogError(CoulombusError):
@@ -87,11 +84,11 @@ def _read_text(path: str | Path, match: FormatMatch) -> LogContent:
         raise LogError(f"{refusal(str(path), match)}; expected {EXPECTED}")
     rows = LineReader(match.format)
     log, broken = _read_lines(path, rows, match.end)
-    if rows.may_differ and time_axis.are_differences(log.frames()["t_ns"]):
+    if rows.may_differ and are_differences(log.frames()["t_ns"]):
         rows = LineReader(match.format)
         rows.relative = True
         log, broken = _read_lines(path, rows, match.end)
-        log.remarks.append(time_axis.DIFFERENCES)
+        log.remarks.append(DIFFERENCES)
     if rows.without_time:
         log.remarks.append(
             f"{rows.without_time} frames have no time stamp and got the time 0: log with time stamps (candump -L)"
@@ -124,7 +121,7 @@ def _read_binary(path: str | Path, kind: str | None) -> tuple[Log, str]:
 def _content(path: str | Path, log: Log, broken: str, is_timed: bool = True) -> LogContent:
     frames = log.frames()
     if is_timed:
-        log.remarks += time_axis.remarks(frames["t_ns"])
+        log.remarks += time_remarks(frames["t_ns"])
     remarks = log.all_remarks(str(path))
     if broken:
         remarks.append(f"{path}: {broken}: what stood behind is not known")

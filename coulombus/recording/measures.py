@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.signals import Recording, Source
+from coulombus.recording.block import Block, Source
 
 __all__ = [
     "HOLDS",
@@ -83,7 +83,7 @@ class _Phases:
     begins: list[tuple[float, str]] = field(default_factory=list)
     end_s: float = 0.0
 
-    def add(self, block: Recording) -> None:
+    def add(self, block: Block) -> None:
         texts = [(t, text) for t, text in block.markers if text.startswith("phase ")]
         self.begins += [(t, text.removeprefix("phase ")) for t, text in texts]
         self.end_s = max([self.end_s, *block["motor.position_rad"].t_s[-1:].tolist()])
@@ -127,9 +127,9 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
     return holds, sticks
 
 
-def _with_windows(recording: Source) -> Iterator[tuple[Recording, list[Window], list[Window]]]:
+def _with_windows(recording: Source) -> Iterator[tuple[Block, list[Window], list[Window]]]:
     """Yield the blocks, each with the windows so far, as soon as no later marker changes them within the block."""
-    schedule, waiting = _Phases(), deque[Recording]()
+    schedule, waiting = _Phases(), deque[Block]()
     for block in recording:
         schedule.add(block)
         waiting.append(block)

@@ -12,11 +12,11 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.block import Block, markers_of
 from coulombus.recording.file_content import Capture
 from coulombus.recording.measures import MEASURED
-from coulombus.recording.pdo_columns import signals_of
+from coulombus.recording.pdo_columns import Series, signals_of
 from coulombus.recording.recorder import Markers
-from coulombus.recording.signals import Recording, Series, markers_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.frame import Frame, Records, new_records
@@ -57,13 +57,13 @@ class MeasuredFrames:
             stamps.append(t_ns[rows])
             words.append(frames["word"][rows])
 
-    def recordings(self) -> tuple[Recording, ...]:
+    def recordings(self) -> tuple[Block, ...]:
         """Return each axis' view (`Recording.axes`): the measured signals and the markers, without frames."""
         names = self._rig.axis_names
         rigs = [self._rig.alone(name) for name in names] or [self._rig]
         return tuple(self._seen(name, rig) for name, rig in zip(names or ("",), rigs, strict=True))
 
-    def _seen(self, axis: str, rig: Rig) -> Recording:
+    def _seen(self, axis: str, rig: Rig) -> Block:
         signals = {}
         for pdo in rig.pdos():
             if pdo.layout.cob_id in self._came:
@@ -72,7 +72,7 @@ class MeasuredFrames:
                 t_s = t_ns / 1e9
                 for signal, values in signals_of(pdo, words, t_ns, rig, {}, MEASURED)[0]:
                     signals[signal.name] = Series(t_s, values, signal.unit)
-        return Recording(
+        return Block(
             path=NAME,
             known_rig=rig,
             capture=Capture(NAME, new_records(Frame, 0), comments=[], attachments={}),

@@ -1,19 +1,50 @@
-"""Decode the packets of a pcapng file, compiled: stamps of any resolution, frames of link type 227."""
+"""Walk from block to block of a pcapng file, and decode its packets, both compiled.
+
+Stamps may have any resolution; frames are of link type 227.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.kernels.decorator import Entry, inlined, kernel
-from coulombus.recording.pcapng_blocks import LINKTYPE_CAN_SOCKETCAN
-from coulombus.recording.pcapng_walk import Integers, Words, swapped
+from coulombus.recording.pcapng_blocks import (
+    HOST_INTERFACE,
+    IF_NAME,
+    IF_TSOFFSET,
+    IF_TSRESOL,
+    LINKTYPE_CAN_SOCKETCAN,
+    iter_options,
+)
 from coulombus.wire.frame import CAN_RTR_FLAG, LENGTH_MASKS, Frame, Records, new_records
 
-__all__ = ["BadPacketError", "Interface", "Packets", "column", "decode_packets"]
+__all__ = [
+    "BAD",
+    "END",
+    "FULL",
+    "SECTION",
+    "BadPacketError",
+    "Integers",
+    "Interface",
+    "Packets",
+    "Words",
+    "column",
+    "decode_packets",
+    "read_interface",
+    "walk",
+]
+
+Words: TypeAlias = npt.NDArray[np.uint32]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+END, FULL, SECTION, BAD = range(4)
+"""Why a walk stops: the words end, `offsets` is full, a section header, no block."""
 
 HEAD = 28  # bytes of an enhanced packet block before the packet
 CANFD_FDF = 0x04
@@ -51,6 +82,24 @@ class Interface:
         return INSIDE if self.inside else BUS
 
 
+def read_interface(body: bytes, order: str, *, own: bool) -> Interface:
+    """Return the interface of a block's body, 8 bytes at least.
+
+    Parameters
+    ----------
+    own : whether it is of a recording of this project, whose stamps count from its own time 0
+    """
+    linktype, resolution, offset_s, name = struct.unpack_from(order + "H", body)[0], 6, 0, ""
+    for code, value in iter_options(body[8:], order):
+        if code == IF_TSRESOL and len(value) == 1:
+            resolution = value[0]
+        elif code == IF_TSOFFSET and len(value) == 8:
+            offset_s = 0 if own else struct.unpack(order + "q", value)[0]
+        elif code == IF_NAME:
+            name = value.decode(errors="replace")
+    return Interface(linktype, resolution, offset_s, name == HOST_INTERFACE, name)
+
+
 @dataclass(frozen=True)
 class Packets:
     """The classical CAN frames of packets, in the file's order."""
@@ -69,10 +118,46 @@ class Packets:
         return np.concatenate((self.frames["t_ns"], self.inside["t_ns"]))
 
 
+@inlined
+def swapped(word: int) -> int:
+    """Return a word of 32 bits with its bytes in the other order."""
+    return (word & 0xFF) << 24 | (word & 0xFF00) << 8 | (word >> 8) & 0xFF00 | word >> 24
+
+
+@kernel
+def walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int, int]:
+    """Note where blocks begin (in words), from `at` on.
+
+    Return their number, the stop position, and its reason.
+    """
+    size = words.shape[0]
+    count = 0
+    while True:
+        if size - at < 3:
+            return count, at, END
+        if np.int64(words[at]) == 0x0A0D0D0A:
+            return count, at, SECTION
+        if count == offsets.shape[0]:
+            return count, at, FULL
+        length: Any = np.int64(words[at + 1])
+        if swap:
+            length = swapped(length)
+        if length < 12 or length % 4 != 0 or length > 0x1000000:
+            return count, at, BAD
+        after = at + length // 4
+        if after > size:
+            return count, at, END
+        if words[after - 1] != words[at + 1]:
+            return count, at, BAD
+        offsets[count] = at
+        count += 1
+        at = after
+
+
 def column(words: Words, at: Integers, order: str) -> Integers:
     """Return the words at `at`, in the section's byte order ("<" or ">")."""
-    chosen = words[at]
-    return (chosen.byteswap() if order == ">" else chosen).astype(np.int64)
+    selection = words[at]
+    return (selection.byteswap() if order == ">" else selection).astype(np.int64)
 
 
 @inlined

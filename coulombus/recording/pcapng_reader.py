@@ -24,10 +24,6 @@ from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
     BYTE_ORDER_MAGIC,
     ENHANCED_PACKET,
-    HOST_INTERFACE,
-    IF_NAME,
-    IF_TSOFFSET,
-    IF_TSRESOL,
     INTERFACE,
     LINKTYPE_CAN_SOCKETCAN,
     MAX_BLOCK,
@@ -45,8 +41,20 @@ from coulombus.recording.pcapng_blocks import (
     other_format,
     read_attachment,
 )
-from coulombus.recording.pcapng_packets import BadPacketError, Interface, column, decode_packets
-from coulombus.recording.pcapng_walk import BAD, END, FULL, SECTION, Integers, Words, walk
+from coulombus.recording.pcapng_packets import (
+    BAD,
+    END,
+    FULL,
+    SECTION,
+    BadPacketError,
+    Integers,
+    Interface,
+    Words,
+    column,
+    decode_packets,
+    read_interface,
+    walk,
+)
 from coulombus.recording.time_search import ALL, Window, offset_before
 from coulombus.wire.frame import FRAME, Records
 
@@ -131,7 +139,7 @@ class _Reader:
         stamps_ns = decode_packets(self.words, packet, self.order, self.interfaces, 0).stamps_ns
         return len(stamps_ns) == 1 and self.window.is_behind(int(stamps_ns[0]))
 
-    def take(self, torn: int = 0) -> Capture:
+    def end_stretch(self, torn: int = 0) -> Capture:
         """Return the stretch just read, and begin the next."""
         capture = Capture(
             path=self.path,
@@ -199,13 +207,13 @@ def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
                 more, at = reader.more(0), 0
                 if more:
                     if reader.begun or reader.rows:  # the first stretch has frames
-                        yield (capture := reader.take())
+                        yield (capture := reader.end_stretch())
                         if reader.own and len(capture.frames) and window.is_before(int(capture.frames["t_ns"][0])):
                             return
                 elif not _resume(reader, 0, "a block that does not end"):
                     break
             count, at, reason = walk(reader.words, at, int(reader.order == ">"), offsets)
-            _take(reader, offsets[:count])
+            _decode_blocks(reader, offsets[:count])
             if reason == SECTION:
                 at, reason = _section(reader, at)
             elif reason == BAD:
@@ -215,7 +223,7 @@ def iter_pcapng(path: str | Path, window: Window = ALL) -> Iterator[Capture]:
     if file.broken:
         reader.warnings.append(f"{reader.path}: {file.broken}: what stood behind is not known")
     _check_linktypes(reader)
-    yield reader.take(reader.torn)
+    yield reader.end_stretch(reader.torn)
 
 
 def _of_segments(paths: list[Path], window: Window) -> Iterator[Capture]:
@@ -348,14 +356,17 @@ def _resume(reader: _Reader, at: int, what: str) -> bool:
     return True
 
 
-def _take(reader: _Reader, offsets: Integers) -> None:
+def _decode_blocks(reader: _Reader, offsets: Integers) -> None:
     """Decode the blocks at `offsets` (words): packets as columns, other blocks singly."""
     kinds = column(reader.words, offsets, reader.order)
     for at, kind in zip(offsets[kinds != ENHANCED_PACKET].tolist(), kinds[kinds != ENHANCED_PACKET], strict=True):
         length = struct.unpack_from(reader.order + "I", reader.data, 4 * at + 4)[0]
         body = reader.data[4 * at + 8 : 4 * at + length - 4]
         if kind == INTERFACE:
-            interface = _interface(reader, 4 * at, body)
+            if len(body) < 8:
+                raise _damaged(reader, 4 * at, f"an interface block of {len(body)} bytes, expected at least 8")
+            interface = read_interface(body, reader.order, own=reader.own)
+            reader.linktypes.add(interface.linktype)
             is_bus = interface.linktype == LINKTYPE_CAN_SOCKETCAN and not interface.inside
             reader.buses.append((interface.name or str(len(reader.interfaces))) if is_bus else "")
             reader.interfaces.append(interface)
@@ -412,22 +423,6 @@ def _attach(reader: _Reader, name: str, content: bytes, start: int) -> None:
     except ValueError as error:
         text = f"attachment {name!r} is damaged ({error}) and was left out"
         reader.warnings.append(f"{reader.path}: offset {reader.base + start}: {text}")
-
-
-def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
-    if len(body) < 8:
-        raise _damaged(reader, start, f"an interface block of {len(body)} bytes, expected at least 8")
-    linktype, resolution, offset_s = struct.unpack_from(reader.order + "H", body)[0], 6, 0
-    name = ""
-    for code, value in iter_options(body[8:], reader.order):
-        if code == IF_TSRESOL and len(value) == 1:
-            resolution = value[0]
-        elif code == IF_TSOFFSET and len(value) == 8:
-            offset_s = 0 if reader.own else struct.unpack(reader.order + "q", value)[0]
-        elif code == IF_NAME:
-            name = value.decode(errors="replace")
-    reader.linktypes.add(linktype)
-    return Interface(linktype, resolution, offset_s, name == HOST_INTERFACE, name)
 
 
 def _check_number(reader: _Reader, start: int) -> None:

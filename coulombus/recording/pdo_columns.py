@@ -1,8 +1,9 @@
-"""Signals of a PDO from recorded frames: a row per frame, a column per signal in SI units."""
+"""Signals of PDOs from recorded frames: a row per frame, a column per signal in SI units; and each signal by name."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import difflib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -15,21 +16,32 @@ from coulombus.recording.file_content import Capture
 from coulombus.recording.unwrap import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
 __all__ = [
     "PdoTable",
+    "Series",
+    "SignalsOfTables",
+    "UnknownSignal",
+    "are_texts",
     "bare_tables",
     "behind",
     "decode_field",
     "joined_table",
+    "one_signal",
     "rig_tables",
+    "signal_of",
     "signals_of",
     "table_of",
 ]
 
 Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
+
+MOST_NAMED = 6
+"""Number of signals in an error if none is similar to the requested name."""
 
 
 @dataclass(frozen=True)
@@ -164,3 +176,84 @@ def decode_field(words: Integers, start: int, entry: Entry) -> Array:
         return words << left >> right
     field = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
     return field if entry.bits == 64 else field.view(np.int64)
+
+
+@dataclass(frozen=True)
+class Series:
+    """One signal: times [s], values in `unit`.
+
+    Bit fields (unit "") are integers, the rest is float64.
+    """
+
+    t_s: Floats
+    values: Array
+    unit: str
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def held(self, t_s: Floats, before: float) -> Floats:
+        """Return the last value at or before each of the times `t_s` [s]; `before` if there is none."""
+        last = np.searchsorted(self.t_s, t_s, "right") - 1
+        return np.append(self.values.astype(np.float64), before)[last]  # -1: the appended value
+
+
+class SignalsOfTables(Mapping[str, Series]):
+    """The signals of PDOs by name, each decoded when it is asked for."""
+
+    def __init__(self, tables: Sequence[PdoTable], epoch_ns: int) -> None:
+        self._places = {signal.name: (table, signal) for table in tables for signal in table.pdo.signals}
+        self._epoch_ns = epoch_ns
+        self._times: dict[str, Floats] = {}
+        self._series: dict[str, Series] = {}
+
+    def __getitem__(self, name: str) -> Series:
+        if name not in self._series:
+            table, signal = self._places[name]
+            if table.name not in self._times:
+                self._times[table.name] = (table.t_ns - self._epoch_ns) / 1e9
+            self._series[name] = Series(self._times[table.name], table.column(signal), signal.unit)
+        return self._series[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+class UnknownSignal(CoulombusError, KeyError):
+    """A recording has no signal of this name; the text names the nearest ones."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
+    """Return the definition of a signal in a rig's PDOs; `UnknownSignal` says that there is none
+    `where`, and names the nearest ones.
+    """
+    signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
+    if name not in signals:
+        near = difflib.get_close_matches(name, signals, 3, 0.4)
+        some = near or list(signals)[:MOST_NAMED]
+        more = 0 if near else len(signals) - len(some)
+        others = f" and {more} others; coulombus pdo lists those of a bus" if more else ""
+        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(some)}{others}")
+    return signals[name]
+
+
+def one_signal(name: Any) -> str:
+    """Return the correct indexing of a recording, for an invalid `name`."""
+    several = f"; of several: series(recording, {', '.join(map(repr, name))})" if are_texts(name) else ""
+    return f"recording[{name!r}]: expected a signal's name, as in recording['motor.position_rad']{several}"
+
+
+def are_texts(names: Any) -> bool:
+    """Return whether `names` is a non-empty list of strings."""
+    return isinstance(names, (list, tuple)) and bool(names) and all(isinstance(name, str) for name in names)

@@ -1,41 +1,40 @@
-"""Read a recording from its file: whole (`read`), or some seconds at a time (`blocks`).
+"""Open a recording: to read it (`read`), or only to go through it some seconds at a time (`blocks`).
 
 The meaning of the bits comes from the rig file and the EDS files attached to the recording. For a
 file without them (candump's, Wireshark's, or one rewritten by editcap) it comes from the given rig,
 else from the log itself (`recording.maps`).
 
 `read` keeps a short recording: 40 bytes per frame and about 8 for each of its signals. Of a long one
-it reads what is asked for (`recording.long_recording`). `blocks` streams the file, a `Recording` of
-some seconds at a time, so figures and rows need only bounded memory.
+it reads what is asked for. `blocks` keeps none, so figures and rows need only bounded memory.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
 from coulombus.eds.eds_folder import EdsFiles, eds_files
-from coulombus.recording.block_source import HOST, WHOLE, Blocks, Span, bus_match, captures, first_rows, remaps
-from coulombus.recording.bus_match import Channel, channel_texts, recorded_channel
-from coulombus.recording.file_content import Capture
+from coulombus.recording.block import GIVE_RIG
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts, recorded_channel
+from coulombus.recording.captures import captures
+from coulombus.recording.file_content import HOST, Capture
 from coulombus.recording.folders import segments
 from coulombus.recording.host_telemetry import NAME as INSIDE
 from coulombus.recording.host_telemetry import inside_pdos
 from coulombus.recording.log_files import LogError, is_log
 from coulombus.recording.logs.content import Content
-from coulombus.recording.long_recording import LongRecording
 from coulombus.recording.maps.log_maps import LEARNED, LogMaps
 from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
-from coulombus.recording.signals import GIVE_RIG, Recording, decode
-from coulombus.recording.span import checked_span
+from coulombus.recording.signals import Recording
+from coulombus.recording.time_search import WHOLE, Span, checked_span
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["HOST", "RIG", "Blocks", "attached_rig", "blocks", "captures", "has_rig", "read"]
+__all__ = ["HOST", "RIG", "attached_rig", "blocks", "captures", "has_rig", "read"]
 
 KEPT_BYTES, PACKED_SHARE = 1 << 26, 16
 """Size of the longest recording that `read` keeps: three minutes of one axis; compressed bytes count as so many."""
@@ -88,19 +87,12 @@ def read(
     """
     path, span = path_text(path, "path", 'read("run.pcapng")'), checked_span(span)
     if span != WHOLE or _is_long(path):
-        return LongRecording(blocks(path, rig, channel, eds=eds, span=span))
-    capture = next(captures(path)) if is_log(path) else read_pcapng(path)
-    files = eds_files(eds)
-    known = _known_rig((capture,), rig, files)
-    recorded = recorded_channel(capture.attachments)
-    match = bus_match(path, known, channel_texts(channel), recorded)
-    capture = match.take(capture)
-    maps = _learned([capture], files) if known is None else None
-    pdos = () if maps is None else maps.pdos()
-    capture = replace(capture, warnings=(*capture.warnings, *match.remarks(), *remaps(path, maps, pdos)))
-    if known is None:
-        return decode(capture, None, bare=pdos, begins=first_rows(maps, pdos, 0))
-    return decode(capture, known, inside=_inside(known, recorded, capture.attachments.get(INSIDE)))
+        recording = blocks(path, rig, channel, eds=eds, span=span)
+    else:
+        content = next(captures(path)) if is_log(path) else read_pcapng(path)
+        recording = _opened(path, rig, channel, eds, content=content)
+    recording.read_through()
+    return recording
 
 
 def blocks(
@@ -110,7 +102,7 @@ def blocks(
     *,
     eds: Iterable[str] | EdsFiles = (),
     span: Span = WHOLE,
-) -> Blocks:
+) -> Recording:
     """Return a recording to iterate over, repeatedly, in bounded memory.
 
     Parameters and errors as `read`.
@@ -120,18 +112,34 @@ def blocks(
     path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
-    texts, span = channel_texts(channel), checked_span(span)
-    stretches = captures(path)
-    first = next(stretches)  # the description of the telemetry is attached first
-    files = eds_files(eds)
-    known = _known_rig(chain([first], stretches), rig, files)
+    return _opened(path, rig, channel, eds, checked_span(span))
+
+
+def _opened(
+    path: str,
+    rig: Rig | str | os.PathLike[str] | None,
+    channel: Channel,
+    eds: Iterable[str] | EdsFiles,
+    span: Span = WHOLE,
+    content: Capture | None = None,
+) -> Recording:
+    """Return a recording with its rig, or with the PDO maps that are learned from it."""
+    texts, files = channel_texts(channel), eds_files(eds)
+
+    def stretches() -> Iterator[Capture]:
+        return captures(path) if content is None else iter((content,))
+
+    parts = stretches()
+    first = next(parts)  # the description of the telemetry is attached first
+    known_rig = _known_rig(chain([first], parts), rig, files)
     recorded = recorded_channel(first.attachments)
-    if known is None:
-        match = bus_match(path, None, texts, recorded)
-        maps = _learned(map(match.take, captures(path)), files)
-        return Blocks(path, None, channel=texts, recorded=recorded, maps=maps, span=span)
-    inside = _inside(known, recorded, first.attachments.get(INSIDE))
-    return Blocks(path, known, inside=inside, channel=texts, recorded=recorded, span=span)
+    recording = Recording(path, known_rig, channel=texts, recorded=recorded, span=span, content=content)
+    if known_rig is None:
+        maps = _learned(map(BusMatch.without_rig(path, texts).select, stretches()), files)
+        bare = maps.pdos()
+        first_rows = {pdo.layout.cob_id: maps.begin(pdo.layout.cob_id) for pdo in bare}
+        return replace(recording, bare=bare, first_rows=first_rows)
+    return replace(recording, inside=_inside(known_rig, recorded, first.attachments.get(INSIDE)))
 
 
 def _is_long(path: str) -> bool:

@@ -1,4 +1,4 @@
-"""Signals of a recording, stretch by stretch, for the table writers.
+"""Signals of a recording as tables: stretch by stretch for the writers of files, or whole in pandas and xarray.
 
 Signals of one PDO share their times: they are one `Group`. Without a grid each frame of a PDO is
 one row with this PDO's signals. On a grid there is one group with a row per instant, in which every
@@ -9,16 +9,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from numbers import Real
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.protocols import Block, Readable
-from coulombus.rigs.arguments import texts
+from coulombus.recording.block import Block, Source
+from coulombus.recording.extras import library
+from coulombus.rigs.arguments import WrongCall, texts
 from coulombus.rigs.signals import Signal
 
-__all__ = ["EXAMPLE", "GRID", "Column", "Group", "Rows", "Stretch", "groups_of", "stretches"]
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = [
+    "EXAMPLE",
+    "GRID",
+    "Column",
+    "Group",
+    "Rows",
+    "Stretch",
+    "groups_of",
+    "stretches",
+    "to_pandas",
+    "to_xarray",
+]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -76,7 +93,7 @@ class Stretch:
     until_s: float
 
 
-def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
+def groups_of(source: Source, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
     """Return the groups of the signals `names` (None: all), in the order of the rig's PDOs; on a
     grid a single group, in the order of `names`.
 
@@ -90,13 +107,13 @@ def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None
     names = None if names is None else texts(names, "signals", EXAMPLE)
     for name in names or ():
         source.signal(name)
-    chosen = {
+    signals_of = {
         f"{pdo.node}.{pdo.name}": [signal for signal in pdo.signals if names is None or signal.name in names]
         for pdo in source.pdos
     }
     if grid_ns is None:
-        return tuple(Group(name, tuple(map(_column, signals))) for name, signals in chosen.items() if signals)
-    columns = {signal.name: _column(signal) for signals in chosen.values() for signal in signals}
+        return tuple(Group(name, tuple(map(_column, signals))) for name, signals in signals_of.items() if signals)
+    columns = {signal.name: _column(signal) for signals in signals_of.values() for signal in signals}
     return (Group(GRID, tuple(columns[name] for name in dict.fromkeys(names or columns))),)
 
 
@@ -104,7 +121,7 @@ def _column(signal: Signal) -> Column:
     return Column(signal.name, signal.unit, not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0))
 
 
-def stretches(source: Readable, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
+def stretches(source: Source, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
     """Yield the stretches in one pass through the recording."""
     if grid_ns is None:
         for block in source:
@@ -151,7 +168,7 @@ class _Held:
         return values
 
 
-def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
+def _on_grid(source: Source, group: Group, grid_ns: int) -> Iterator[Stretch]:
     held = {column.name: _Held() for column in group.columns}
     following, seen, until = None, 0, 0
 
@@ -186,3 +203,55 @@ def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
         until = max(until, int(t_ns.max()))
         yield from rows(until, block.markers)
     yield from rows(until + 1, [])
+
+
+def _columns_of(
+    source: Source, signals: Sequence[str] | None, grid_s: float | None
+) -> list[tuple[Group, Array, Array, list[Array]]]:
+    """Return the places, times [s] and values of each group's rows."""
+    if grid_s is not None and (not isinstance(grid_s, Real) or isinstance(grid_s, bool)):
+        raise WrongCall(f"grid_s is {grid_s!r}: expected a number of seconds, as in grid_s=0.001")
+    grid_ns = None if grid_s is None else round(grid_s * 1e9)
+    if grid_ns is not None and grid_ns < 1000:
+        raise ValueError(f"grid_s is {grid_s}: expected at least 1e-6 s, as in grid_s=0.001")
+    groups = groups_of(source, signals, grid_ns)
+    parts = [stretch.rows for stretch in stretches(source, groups, grid_ns)]
+    tables = []
+    for k, group in enumerate(groups):
+        order = np.concatenate([np.zeros(0, np.int64), *(rows[k].order for rows in parts)])
+        t_s = np.concatenate([np.zeros(0), *(rows[k].t_s for rows in parts)])
+        values = [np.concatenate([rows[k].values[c] for rows in parts]) for c in range(len(group.columns))]
+        tables.append((group, order, t_s, values))
+    return tables
+
+
+def to_pandas(source: Source, signals: Sequence[str] | None = None, grid_s: float | None = None) -> pandas.DataFrame:
+    """Return the signals as columns over the times ``t_s`` [s]; see `Recording.to_pandas`."""
+    pandas = library("pandas", "to_pandas()")
+    parts = _columns_of(source, signals, grid_s)
+    order = np.argsort(np.concatenate([places for _, places, _, _ in parts]), kind="stable")
+    index = pandas.Index(np.concatenate([t_s for _, _, t_s, _ in parts])[order], name="t_s")
+    columns, begin = {}, 0
+    for group, places, _, values in parts:
+        for column, samples in zip(group.columns, values, strict=True):
+            if len(parts) > 1:
+                whole = np.full(len(order), np.nan)
+                whole[begin : begin + len(places)] = samples
+                samples = whole[order]
+            columns[column.name] = samples
+        begin += len(places)
+    table = pandas.DataFrame(columns, index=index)
+    table.attrs["units"] = {column.name: column.unit for group, _, _, _ in parts for column in group.columns}
+    return table
+
+
+def to_xarray(source: Source, signals: Sequence[str] | None = None, grid_s: float | None = None) -> xarray.Dataset:
+    """Return the signals with a dimension for each PDO; see `Recording.to_xarray`."""
+    xarray = library("xarray", "to_xarray()")
+    variables, times = {}, {}
+    for group, _, t_s, values in _columns_of(source, signals, grid_s):
+        name = "t_s" if grid_s is not None else f"t_s.{group.name}"
+        times[name] = xarray.Variable(name, t_s, {"units": "s"})
+        for column, samples in zip(group.columns, values, strict=True):
+            variables[column.name] = xarray.Variable(name, samples, {"units": column.unit})
+    return xarray.Dataset(variables, coords=times)

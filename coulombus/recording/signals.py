@@ -7,156 +7,71 @@
     angle.t_s, angle.values, angle.unit          # two arrays and "rad"
     recording.markers                            # [(1.004, "phase hold"), ...]
 
-`recording.reading` reads it from a file. A position is unwrapped (`recording.unwrap`), so that its
-angle continues where a device's 16-bit counter wraps; `frames` has the raw frames. `series`
-extracts single signals of a streamed recording.
+`recording.reading` opens it. A loop over it gets its blocks (`recording.block`), some seconds each. A
+position is unwrapped (`recording.unwrap`), so that its angle continues where a device's 16-bit
+counter wraps; `frames` has the raw frames.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.file_content import Capture
+from coulombus.recording.block import (
+    Block,
+    Overview,
+    SignalsOfBlocks,
+    Source,
+    decode,
+    epoch_of,
+    left_out_of,
+    markers_of,
+    series,
+)
+from coulombus.recording.bus_match import BusMatch
+from coulombus.recording.captures import captures, parts_of
+from coulombus.recording.file_content import HOST, Capture, joined, remarks_on
 from coulombus.recording.host_telemetry import of_axis
-from coulombus.recording.log_files import WALL_CLOCK_NS
-from coulombus.recording.pdo_columns import PdoTable, bare_tables, behind, rig_tables, table_of
-from coulombus.recording.remarks import UNSURE, remarks_on
-from coulombus.recording.signal_names import UnknownSignal, are_texts, one_signal, signal_of
-from coulombus.recording.signal_series import Series, SignalsOfTables
-from coulombus.recording.unwrap import Turns
+from coulombus.recording.pdo_columns import PdoTable, Series, UnknownSignal, joined_table, one_signal, signal_of
+from coulombus.recording.time_search import ALL, WHOLE, Span, Window
+from coulombus.recording.unwrap import POSITION, Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
-from coulombus.rigs.rig import Rig, RigError
-from coulombus.rigs.signals import RigPdo, Signal
-from coulombus.wire.frame import Records
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.frame import Frame, Records, new_records
 
 if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Recording",
-    "Series",
-    "Source",
-    "UnknownSignal",
-    "decode",
-    "epoch_of",
-    "left_out_of",
-    "markers_of",
-    "remarks_on",
-    "series",
-    "signal_of",
-]
+__all__ = ["Recording", "Series", "Source", "UnknownSignal", "series", "signal_of"]
 
-GIVE_RIG = "give one: read(path, rig=...), or --rig on the command line"
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
-Integers: TypeAlias = npt.NDArray[np.int64]
+
+LONG_COUNTER = 32
+"""Bits of a counter that is taken not to overflow."""
+LATEST_NS = 1 << 62
 
 
-class Source:
-    """A source of figures: the recording's blocks in sequence, each a `Recording` with absolute times."""
-
-    path: str
-    known_rig: Rig | None
-    """The rig; None: neither attached nor given."""
-    inside: tuple[RigPdo, ...] = ()
-    """The host's telemetry (`recording.host_telemetry`), as PDOs of a node "host"."""
-    bare: tuple[RigPdo, ...] = ()
-    """Without a rig: the PDOs with maps from the log or an EDS file (`recording.maps`)."""
-
-    @property
-    def rig(self) -> Rig:
-        """The rig of these PDOs: attached or given.
-
-        Raises
-        ------
-        coulombus.rigs.rig.RigError
-            There is none; the error has the remedy.
-        """
-        if self.known_rig is None:
-            raise RigError([f"{self.path}: no rig.toml is attached, and this needs one; {GIVE_RIG}"])
-        return self.known_rig
-
-    @property
-    def pdos(self) -> tuple[RigPdo, ...]:
-        """All PDOs with signals: the rig's, and the host's telemetry."""
-        return (*(self.bare if self.known_rig is None else self.known_rig.pdos()), *self.inside)
-
-    def __iter__(self) -> Iterator[Recording]:
-        """Yield the blocks."""
-        raise NotImplementedError
-
-    def seen_by(self, axis: str) -> Self:
-        """Return the view of the axis of this name, with the signals' plain names.
-
-        Markers of other axes are left out.
-        """
-        raise NotImplementedError
-
-    def one_axis(self, name: str | None) -> Self:
-        """Return the view of the axis `name`.
-
-        Without a name the rig must have a single axis.
-
-        Raises
-        ------
-        coulombus.rigs.rig.RigError
-            see `Rig.one_axis`
-        """
-        self.rig.one_axis(name)
-        return self.seen_by(name or "")
-
-    @property
-    def axes(self) -> tuple[Self, ...]:
-        """The view of each axis of the rig, with the signals' plain names."""
-        if self.known_rig is None or not self.known_rig.axis_names:
-            return (self,)
-        return tuple(self.seen_by(name) for name in self.rig.axis_names)
-
-    def within(self, begin_s: float, end_s: float) -> Source:
-        """Return a source whose blocks have all of this stretch of time, and perhaps more."""
-        return self
-
-    def extent(self) -> tuple[float, float] | None:
-        """Return the times of the first and the last frame [s]; None without a frame."""
-        times = [t for block in self if len(block.frames) for t in (block.t_s[0], block.t_s[-1])]
-        return (float(min(times)), float(max(times))) if times else None
-
-    def has(self, name: str) -> bool:
-        """Return whether the signal exists: the signal of an absent role is in no PDO."""
-        return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
-
-    def __contains__(self, name: object) -> bool:
-        """Return whether the signal exists: ``"motor.position_rad" in recording``."""
-        return isinstance(name, str) and self.has(name)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of all signals."""
-        return tuple(dict.fromkeys(signal.name for pdo in self.pdos for signal in pdo.signals))
-
-    def signal(self, name: str) -> Signal:
-        """Return the definition of a signal: object, scale, offset, unit; `UnknownSignal` names the nearest ones."""
-        return signal_of(self.pdos, name, self.path)
-
-    def scale(self, name: str) -> float:
-        """Return the SI value of one raw count of a signal."""
-        return self.signal(name).scale
-
-
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording(Source):
-    """A recording, decoded; ``recording["motor.position_rad"]`` is a `Series`.
+    """A recording, read when something of it is asked for; ``recording["motor.position_rad"]`` is a `Series`.
+
+    A loop over it reads its file and gets its blocks. Markers and counts are those of one pass. A
+    signal is read in another pass, and kept then: 16 bytes for each sample. `frames`, `capture` and
+    `tables` read and keep everything. Of a short recording the content is kept from the beginning.
 
     Attributes
     ----------
@@ -164,35 +79,145 @@ class Recording(Source):
         The file.
     known_rig
         The rig of these PDOs, attached or given; None: there is none, and `rig` raises.
-    capture
-        The file's raw content: frames, comments, attachments, torn bytes.
-    epoch_ns
-        Time 0 of all `t_s`: 0 in virtual time, else the first frame's stamp.
-    signals
-        Name -> `Series`, in the order of the rig's PDOs; empty for a PDO that was never received.
-    markers
-        (time [s], text) of each line of the comments, in the file's order; then those that no frame follows.
-    malformed
-        "motor.TPDO1" -> frames of a wrong length, which are omitted from the signals.
-    before
-        Position before the first frame of each block after the first.
+    inside, bare
+        PDOs of the host's telemetry; and without a rig those whose maps are known.
+    channel
+        Bus of the file, as `read` takes it.
+    recorded
+        The rig's bus that the recording names.
+    first_rows
+        Without a rig: the row at which the map of each PDO begins, by its identifier.
+    span
+        Begin and end [s], None: open.
+    content
+        The whole file, of a short recording; None: each pass reads the file.
+    axis, file_rig
+        Of a view of one axis: its name, and the rig of all axes.
+    origin
+        The recording of which this is a view: it gets the remarks, too.
     """
 
     path: str
     known_rig: Rig | None
-    capture: Capture
-    epoch_ns: int
-    tables: tuple[PdoTable, ...]
-    signals: Mapping[str, Series]
-    markers: list[tuple[float, str]]
-    malformed: Mapping[str, int]
-    before: Mapping[str, Turns]
     inside: tuple[RigPdo, ...] = ()
     bare: tuple[RigPdo, ...] = ()
+    channel: tuple[str, ...] = ()
+    recorded: str = ""
+    first_rows: Mapping[int, int] = field(default_factory=dict)
+    span: Span = WHOLE
+    content: Capture | None = None
+    axis: str = ""
+    file_rig: Rig | None = None
+    origin: Recording | None = None
+    _remarks: list[tuple[str, ...]] = field(default_factory=list, init=False)
+    """Of the last complete pass; empty before."""
 
-    def __iter__(self) -> Iterator[Recording]:
-        """Yield the recording itself as a single block."""
-        yield self
+    @property
+    def is_streamed(self) -> bool:
+        """Whether each pass reads the file."""
+        return self.content is None
+
+    def __iter__(self) -> Iterator[Block]:
+        """Yield the blocks."""
+        return self._decoded() if self.is_streamed else iter(self._blocks)
+
+    @cached_property
+    def _blocks(self) -> tuple[Block, ...]:
+        """All blocks, which are kept; of a short recording there is one."""
+        return tuple(self._decoded())
+
+    def _stretches(self, window: Window = ALL) -> Iterator[Capture]:
+        return captures(self.path, window) if self.content is None else iter((self.content,))
+
+    def _decoded(self) -> Iterator[Block]:
+        """Yield the blocks; after the last the remarks are known."""
+        epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
+        window, is_searched = self._window(), self._is_searched()
+        match = self._match()
+        row = 0
+        for stretch in self._stretches(window if is_searched else ALL):
+            if epoch_ns is None and len(stretch.frames):  # of any bus: all buses of a file have one time 0
+                epoch_ns = epoch_of(stretch.frames)
+            capture = match.select(stretch)
+            for part, begin, is_in_window in parts_of(capture, window):
+                if is_searched and not is_in_window:
+                    continue
+                begins = {cob_id: first - row - begin for cob_id, first in self.first_rows.items()}
+                block = decode(part, self.known_rig, epoch_ns, turns, self.inside, self.bare, begins)
+                turns |= block.turns
+                if is_in_window:
+                    if self.file_rig is not None:
+                        block = replace(block, markers=markers_of(self.axis, self.file_rig, block.markers))
+                    left_out.update(left_out_of(block))
+                    yield block
+            row += len(capture.frames)
+            warnings += capture.warnings
+        remarks = remarks_on(self.path, [*warnings, *match.remarks(), *self._remaps()], left_out)
+        self._remarks[:] = [remarks]
+        if self.origin is not None:
+            earlier = (text for texts in self.origin._remarks for text in texts)
+            self.origin._remarks[:] = [tuple(dict.fromkeys((*earlier, *remarks)))]
+
+    def _match(self) -> BusMatch:
+        """Return the match of the recording's buses with the rig's, or with one bus."""
+        rig = self.file_rig or self.known_rig
+        if rig is None:
+            return BusMatch.without_rig(self.path, self.channel)
+        return BusMatch(self.path, rig.channels, self.channel, self.recorded)
+
+    def _remaps(self) -> Iterator[str]:
+        """Yield sentences on PDOs with an earlier map, whose frames are in no signal."""
+        for pdo in self.bare:
+            row = self.first_rows[pdo.layout.cob_id]
+            if row:
+                yield f"{self.path}: {pdo.node}.{pdo.name} got another map at frame {row}: its signals begin there"
+
+    def _window(self) -> Window:
+        """Return the span in stamps."""
+        if self.span == WHOLE:
+            return ALL
+        stamps = (capture.frames for capture in captures(self.path) if len(capture.frames))
+        epoch_ns = next(map(epoch_of, stamps), 0)
+        begin, end = self.span
+        return Window(
+            None if begin is None else epoch_ns + math.floor(begin * 1e9),
+            None if end is None else epoch_ns + math.ceil(end * 1e9),
+        )
+
+    def _is_searched(self) -> bool:
+        """Return whether frames before the span may be left out: no map is learned from them, and no
+        counter overflows in them.
+        """
+        if self.known_rig is None:
+            return False
+        fields = ((e, s) for pdo in self.known_rig.pdos() for e, s in zip(pdo.layout.entries, pdo.signals, strict=True))
+        return all(entry.bits >= LONG_COUNTER for entry, signal in fields if signal.key == POSITION)
+
+    def within(self, begin_s: float, end_s: float) -> Recording:
+        """Return the blocks of a stretch of time; frames before it are not read where that is possible."""
+        if not self.is_streamed:
+            return self
+        return replace(self, span=(begin_s, end_s), origin=self)
+
+    def extent(self) -> tuple[float, float] | None:
+        """Return the times of the first and the last frame [s]; None without a frame.
+
+        Of a recording of this project only its two ends are read, or decoded where it is compressed.
+        """
+        if not self.is_streamed or self.span != WHOLE or self.axis:
+            return super().extent()
+        firsts = (capture for capture in captures(self.path) if len(capture.frames))
+        first = next(firsts, None)
+        if first is None:
+            return None
+        epoch_ns, times = epoch_of(first.frames), list[int]()
+        of_bus = (capture for capture in map(self._match().select, captures(self.path)) if len(capture.frames))
+        ends = map(self._match().select, captures(self.path, Window(begin_ns=LATEST_NS)))
+        for part in (*itertools.islice(of_bus, 1), *ends):
+            if len(part.frames):
+                times += part.frames["t_ns"][[0, -1]].tolist()
+                times = [min(times), max(times)]
+        return ((times[0] - epoch_ns) / 1e9, (times[1] - epoch_ns) / 1e9) if times else None
 
     def seen_by(self, axis: str) -> Recording:
         """Return the view of the axis of this name, with the signals' plain names.
@@ -201,9 +226,115 @@ class Recording(Source):
         """
         if not axis:
             return self
-        plain = {name.removeprefix(f"{axis}."): turns for name, turns in self.before.items()}
-        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain, of_axis(self.inside, axis))
-        return replace(seen, markers=markers_of(axis, self.rig, seen.markers))
+        rig, inside = self.rig, of_axis(self.inside, axis)
+        return replace(self, known_rig=rig.alone(axis), inside=inside, axis=axis, file_rig=rig, origin=None)
+
+    @cached_property
+    def _overview(self) -> Overview:
+        """Everything that is known after a pass."""
+        overview = Overview()
+        for block in self:
+            overview.add(block)
+            overview.attachments |= {
+                name: data
+                for name, data in block.attachments.items()
+                if not self.is_streamed or not name.startswith(HOST)
+            }
+        (overview.remarks,) = self._remarks
+        return overview
+
+    def read_through(self) -> None:
+        """Decode a short recording, gather markers and counts of a long one, so that errors of the file come now."""
+        self._overview if self.is_streamed else self._blocks  # noqa: B018
+
+    @property
+    def markers(self) -> list[tuple[float, str]]:
+        """(time [s], text) of each line of the comments, in the file's order; then those that no frame follows."""
+        return self._overview.markers
+
+    @property
+    def malformed(self) -> Mapping[str, int]:
+        """ "motor.TPDO1" -> frames of a wrong length, which are omitted from the signals."""
+        return self._overview.malformed
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Attached files by name; those of the host's replay are kept of a short recording only."""
+        return self._overview.attachments
+
+    @property
+    def epoch_ns(self) -> int:
+        """Time 0 of all `t_s`: 0 in virtual time, else the first frame's stamp."""
+        return self._overview.epoch_ns
+
+    @property
+    def before(self) -> Mapping[str, Turns]:
+        """Each position before the first frame."""
+        return self._overview.before or {}
+
+    @property
+    def turns(self) -> Mapping[str, Turns]:
+        """The last value of each position."""
+        return self._overview.turns
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return self._overview.count
+
+    @property
+    def ends_s(self) -> tuple[float, float] | None:
+        """Least and largest time of a frame [s]; None without a frame."""
+        return self._overview.ends_s
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last frame [s]."""
+        begin_s, end_s = self.ends_s or (0.0, 0.0)
+        return end_s - begin_s
+
+    def samples(self, name: str) -> int:
+        """Return the number of samples of a signal."""
+        return self._overview.samples.get(self.tables_of[name], 0)
+
+    def last_s(self, name: str) -> float | None:
+        """Return the time of a signal's last sample [s]; None without a sample."""
+        return self._overview.last_s.get(self.tables_of[name])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on omitted data: a torn end, damaged attachments, other packets, malformed
+        PDOs; and on gaps in which a position may have wrapped unseen.
+        """
+        if not self._remarks or "_overview" in vars(self):
+            return self._overview.remarks
+        return self._remarks[0]
+
+    @cached_property
+    def signals(self) -> Mapping[str, Series]:
+        """Name -> `Series`, in the order of the rig's PDOs; empty for a PDO that was never received."""
+        if not self.is_streamed:
+            return self._blocks[0].signals
+        return SignalsOfBlocks(self, self._overview.samples)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The file's raw content."""
+        if not self.is_streamed:
+            return self._blocks[0].capture
+        if not self._blocks:
+            return Capture(self.path, new_records(Frame, 0), comments=[], attachments={})
+        return joined(self.path, [block.capture for block in self._blocks])
+
+    @cached_property
+    def tables(self) -> tuple[PdoTable, ...]:
+        """The frames of each PDO."""
+        if not self.is_streamed:
+            return self._blocks[0].tables
+        firsts = np.cumsum([0, *(len(block.frames) for block in self._blocks)]).tolist()
+        inside = np.cumsum([0, *(len(block.capture.inside) for block in self._blocks)]).tolist()
+        of_each = zip(*(block.tables for block in self._blocks), strict=True)
+        return tuple(joined_table(parts, inside if parts[0].inside else firsts, firsts) for parts in of_each)
 
     @property
     def frames(self) -> Records:
@@ -211,32 +342,9 @@ class Recording(Source):
         return self.capture.frames
 
     @property
-    def attachments(self) -> Mapping[str, bytes]:
-        """Attached files by name."""
-        return self.capture.attachments
-
-    @property
-    def count(self) -> int:
-        """Number of frames."""
-        return len(self.frames)
-
-    def samples(self, name: str) -> int:
-        """Return the number of samples of a signal."""
-        return len(self.signals[name])
-
-    def last_s(self, name: str) -> float | None:
-        """Return the time of a signal's last sample [s]; None without a sample."""
-        return float(self.signals[name].t_s[-1]) if self.samples(name) else None
-
-    @property
-    def ends_s(self) -> tuple[float, float] | None:
-        """Least and largest time of a frame [s]; None without a frame."""
-        return (float(self.t_s.min()), float(self.t_s.max())) if self.count else None
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the first to the last frame [s]."""
-        return float(np.ptp(self.t_s)) if len(self.frames) else 0.0
+    def t_s(self) -> Floats:
+        """Time of each frame [s]."""
+        return (self.frames["t_ns"] - self.epoch_ns) / 1e9
 
     @property
     def clock(self) -> Mapping[str, Any]:
@@ -249,23 +357,6 @@ class Recording(Source):
     def meta(self) -> Mapping[str, Any]:
         """The user's notes on the recording (``run --meta``)."""
         return attached_object(self.attachments.get(META))
-
-    @property
-    def t_s(self) -> Floats:
-        """Time of each frame [s]."""
-        return (self.frames["t_ns"] - self.epoch_ns) / 1e9
-
-    @property
-    def turns(self) -> Mapping[str, Turns]:
-        """The last value of each position."""
-        return {name: turns for table in self.tables for name, turns in table.turns.items()}
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences on omitted data: a torn end, damaged attachments, other packets, malformed
-        PDOs; and on gaps in which a position may have wrapped unseen.
-        """
-        return remarks_on(self.path, self.capture.warnings, left_out_of(self))
 
     def __getitem__(self, name: str) -> Series:
         """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
@@ -315,7 +406,7 @@ class Recording(Source):
         coulombus.recording.extras.MissingExtra
             pandas is not installed.
         """
-        from coulombus.recording.frames_table import to_pandas
+        from coulombus.recording.sample_groups import to_pandas
 
         return to_pandas(self, signals, grid_s)
 
@@ -325,13 +416,11 @@ class Recording(Source):
         Signals of one PDO share a dimension, as ``t_s.motor.TPDO1`` [s]; with `grid_s` all share
         ``t_s``. Errors as `to_pandas`.
         """
-        from coulombus.recording.frames_table import to_xarray
+        from coulombus.recording.sample_groups import to_xarray
 
         return to_xarray(self, signals, grid_s)
 
-    def plot(
-        self, signals: Sequence[str] | None = None, *, span: tuple[float | None, float | None] = (None, None)
-    ) -> Figure:
+    def plot(self, signals: Sequence[str] | None = None, *, span: Span = WHOLE) -> Figure:
         """Return a figure of the signals (None: all but bit fields) over `span` [s]; dense samples
         are drawn as an envelope of least and largest values.
 
@@ -341,7 +430,7 @@ class Recording(Source):
             A signal that the recording does not have.
         coulombus.rigs.arguments.WrongCall
             `signals` is no list of texts, or `span` no pair of times.
-        coulombus.recording.span.SpanError
+        coulombus.recording.time_search.SpanError
             There is no frame in the span.
         """
         from coulombus.recording.pictures.plot import plot
@@ -352,97 +441,3 @@ class Recording(Source):
 def _range(values: Array) -> tuple[float, float]:
     """Return the least and the largest value; NaN without values."""
     return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
-
-
-def markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the markers of an axis of `rig`: its own phases by plain names, without those of other axes."""
-    own = f"{axis}.phase "
-    others = tuple(f"{other}.phase " for other in rig.axis_names if other != axis)
-    return [
-        (t_s, text.removeprefix(f"{axis}.") if text.startswith(own) else text)
-        for t_s, text in markers
-        if not text.startswith(others)
-    ]
-
-
-def series(source: Source, *names: str) -> tuple[Series, ...]:
-    """Extract signals in one pass through the recording: 16 bytes per sample, at 1 kHz 16 kB per second and signal.
-
-    Raises
-    ------
-    UnknownSignal
-        A signal that the recording does not have.
-    coulombus.rigs.arguments.WrongCall
-        `source` is not a recording, or a name is not a string.
-    """
-    if not isinstance(source, Source):
-        raise WrongCall(f"source is {source!r}: expected a recording, as in series(read('run.pcapng'), {names[:1]!r})")
-    if any(not isinstance(name, str) for name in names):
-        listed = names[0] if len(names) == 1 and are_texts(names[0]) else ("motor.position_rad",)
-        call = ", ".join(map(repr, listed))
-        raise WrongCall(f"the names are {names!r}: expected one text each, as in series(recording, {call})")
-    gathered = [[block[name] for name in names] for block in source]
-    return tuple(
-        Series(
-            np.concatenate([part.t_s for part in parts]), np.concatenate([part.values for part in parts]), parts[0].unit
-        )
-        for parts in zip(*gathered, strict=True)
-    )
-
-
-def epoch_of(frames: Records) -> int:
-    """Return time 0 of a recording from its first frames."""
-    return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
-
-
-def decode(
-    capture: Capture,
-    rig: Rig | None,
-    epoch_ns: int | None = None,
-    before: Mapping[str, Turns] = MappingProxyType({}),
-    inside: tuple[RigPdo, ...] = (),
-    bare: tuple[RigPdo, ...] = (),
-    begins: Mapping[int, int] = MappingProxyType({}),
-) -> Recording:
-    """Return the capture with the signals of the rig's PDOs and of the host's telemetry (`inside`).
-
-    For a stretch of a longer recording, `epoch_ns` and the positions `before` are given. Without a
-    rig the PDOs are those of `bare`, each from the first row of its map (`begins`).
-    """
-    frames = capture.frames
-    epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
-    can_ids = np.ascontiguousarray(frames["can_id"])
-    tables = tuple(
-        rig_tables(capture, can_ids, rig, before) if rig is not None else bare_tables(frames, can_ids, bare, begins)
-    )
-    if inside:
-        ids = np.ascontiguousarray(capture.inside["can_id"])
-        telemetry = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
-        tables += tuple(behind(table, frames["t_ns"]) for table in telemetry)
-
-    def at_s(row: int) -> float:
-        return float((frames["t_ns"][row] - epoch_ns) / 1e9)
-
-    markers = [(at_s(row), line) for row, text in capture.comments for line in text.splitlines()]
-    return Recording(
-        path=capture.path,
-        known_rig=rig,
-        capture=capture,
-        epoch_ns=epoch_ns,
-        tables=tables,
-        signals=SignalsOfTables(tables, epoch_ns),
-        markers=markers + [((t_ns - epoch_ns) / 1e9, text) for t_ns, text in capture.late],
-        malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
-        before=MappingProxyType(dict(before)),
-        inside=inside,
-        bare=bare,
-    )
-
-
-def left_out_of(block: Recording) -> Counter[str]:
-    """Return the amount of omitted data by reason."""
-    doubts = {
-        f"{UNSURE}{name}": turns.doubts - (block.before[name].doubts if name in block.before else 0)
-        for name, turns in block.turns.items()
-    }
-    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed, **doubts})

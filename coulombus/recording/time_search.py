@@ -1,6 +1,6 @@
-"""Find a time in a long recording without reading it: bisection over the stamps of its packets.
+"""Spans of a recording, as ``3:5``, ``2.5:`` or ``:10``; and a time found in a long one without reading it.
 
-This holds for recordings of this project, whose stamps rise. A packet is found from any offset by
+The time is found by bisection over the stamps of the packets: in recordings of this project, they rise. A packet is found from any offset by
 the shape of its block and of those behind it (`recording.pcapng_blocks`).
 """
 
@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from coulombus.recording.pcapng_blocks import ENHANCED_PACKET, next_block
-from coulombus.recording.pcapng_packets import Interface, decode_packets
-from coulombus.recording.pcapng_walk import Integers
+from coulombus.recording.pcapng_packets import Integers, Interface, decode_packets
+from coulombus.rigs.arguments import WrongCall
+from coulombus.system.errors import CoulombusError
 
-__all__ = ["ALL", "Window", "offset_before"]
+__all__ = ["ALL", "WHOLE", "Span", "SpanError", "Window", "checked_span", "offset_before", "parse_span"]
+
+Span: TypeAlias = tuple[float | None, float | None]
+"""Begin and end [s]; None: open."""
+WHOLE: Span = (None, None)
 
 FIRST_NS, LAST_NS = -(1 << 63), (1 << 63) - 1
 SLACK_NS = 1_000_000_000
@@ -29,6 +37,53 @@ CHAIN = 8
 """Blocks that must follow one another, so that data of an attachment are not taken for blocks."""
 CLOSE = 1 << 20
 """Bytes before the time that are read rather than searched."""
+
+
+class SpanError(CoulombusError):
+    """There is nothing to show; the text has the reason and the remedy."""
+
+    exit_status = 2
+
+
+def parse_span(text: str) -> Span:
+    """Return begin and end [s] of ``A:B``; None for an omitted one.
+
+    Raises
+    ------
+    ValueError
+        It is not a span, or ends before it begins.
+    """
+    begin, colon, end = text.partition(":")
+    try:
+        span = float(begin) if begin else None, float(end) if end else None
+        right = bool(colon) and (span[0] is None or span[1] is None or span[0] < span[1])
+    except ValueError:
+        right = False
+    if not right:
+        raise ValueError(f"{text!r}: expected A:B in s, as in 3:5, 2.5: or :10, and B after A")
+    return span
+
+
+def checked_span(span: Any) -> Span:
+    """Return a checked span from a script: two times [s], None for an open end.
+
+    Raises
+    ------
+    coulombus.rigs.arguments.WrongCall
+        It is something else.
+    """
+    if isinstance(span, (tuple, list)) and len(span) == 2 and all(time is None or _is_time(time) for time in span):
+        begin, end = (None if time is None else float(time) for time in span)
+        return begin, end
+    meant: Span = (3.0, 5.0)
+    if isinstance(span, str):
+        with suppress(ValueError):
+            meant = parse_span(span)
+    raise WrongCall(f"span is {span!r}: expected begin and end in s, as in span={meant!r}; None leaves an end open")
+
+
+def _is_time(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True)

@@ -77,10 +77,10 @@ def wall_clock(zero_ns: int) -> tuple[int, dict[str, bytes], str]:
     started_ns = real - ((before + time.monotonic_ns()) // 2 - zero_ns)
     state = clock_state()
     document = {"start_utc": utc(started_ns), "start_ns": started_ns, **state}
-    kept = {True: "synchronised", False: "not synchronised", None: "not known to be synchronised"}[
+    quality = {True: "synchronised", False: "not synchronised", None: "not known to be synchronised"}[
         state["synchronised"]
     ]
-    comment = f"time 0 is {utc(started_ns)} (the clock was {kept})"
+    comment = f"time 0 is {utc(started_ns)} (the clock was {quality})"
     return started_ns, {CLOCK: json.dumps(document).encode()}, comment
 
 

@@ -70,15 +70,15 @@ CoulombusError
 +-- SameBus                      2   sim_bus.server.bridge        ValueError
 +-- ScriptError                  3   sim_bus.network.script       ValueError
 +-- SilKitError                  4   sim_bus.server.silkit_interface
-+-- SpanError                    2   recording.span
++-- SpanError                    2   recording.time_search
 +-- StudyError                   3   lab.study.study              ValueError
 +-- StudyFolderError             2   lab.study.study_folder       ValueError
 +-- SweepError                   3   lab.sweep.sweep_file         ValueError
 +-- SweepFolderError             2   lab.sweep.sweep_folder
 +-- TableError                   3   recording.friction.columns   ValueError
-+-- TruthError                   2   lab.simulate
++-- TruthError                   2   lab.virtual_course
 +-- UnknownCase                  2   conformance.runner           ValueError
-+-- UnknownSignal                2   recording.signal_names       KeyError
++-- UnknownSignal                2   recording.pdo_columns        KeyError
 +-- WarmUpError                  2   lab.warm_up
 +-- WebError                     2   monitor.web
 +-- WrongCall                    2   rigs.arguments               TypeError

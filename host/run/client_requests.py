@@ -6,20 +6,25 @@ Errors are returned to the client; they never affect the run.
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
+from coulombus.host.cycle.controller import Controller
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.run.changes import Changes
+from coulombus.host.run.histogram import coarse_dict
 from coulombus.host.run.last_word import wall_time
 from coulombus.host.run.markers import marker_of
 from coulombus.host.run.run import Outputs
 from coulombus.host.run.run_sequence import Course
-from coulombus.host.run.run_state import axis_state, plane_state
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.recording.wall_clock import utc
 from coulombus.system.exit import say
 
-__all__ = ["Answers"]
+__all__ = ["Answers", "Progress", "axis_state", "plane_state", "with_states"]
+
+Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
+"""Callback with the display's time in s and the state of each axis (`axis_state`)."""
 
 
 class Answers:
@@ -102,3 +107,46 @@ class Answers:
         if self._teller is not None:
             self._teller.close()
             self._teller = None
+
+
+def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:
+    """Return the state of the data plane as plain values; `period_ns` is the period of the cycle."""
+    wakeup, latency = plane.wakeup(), plane.latency()
+    return {
+        "data_plane": plane.status.name.lower(),
+        "cycles": plane.cycles,
+        "wakeup_us": wakeup and wakeup.as_dict(),
+        "sync_to_rpdo_us": latency and latency.as_dict(),
+        "histograms_us": {
+            "wakeup": coarse_dict(plane.shared.wakeup_bins),
+            "sync_to_rpdo": coarse_dict(plane.shared.latency_bins),
+            "deadline": period_ns / 1000,
+        },
+        "counters": plane.counters(),
+    }
+
+
+def axis_state(controller: Controller) -> dict[str, Any]:
+    """Return the state of an axis as plain values in SI units at the handle."""
+    h, c = controller.host[0], controller.control[0]
+    count_rad = float(c["rad_count"])
+    return {
+        "axis": controller.axis.name,
+        "phase": controller.phase.name.lower(),
+        "trip": controller.trip,
+        "position_rad": int(h["counts"]) * count_rad,
+        "velocity_rad_s": float(h["v_counts"]) * count_rad / (int(c["period_ns"]) * 1e-9),
+        "handle_torque_Nm": float(h["handle_Nm"]),
+        "motor_torque_Nm": float(h["torque_Nm"]),
+        "brake_torque_Nm": float(h["brake_Nm"]),
+        "gain": float(h["gain"]),
+        "deadman_held": bool(h["deadman_ok"]),
+        "lost_pdos": int(h["lost_pdos"]),
+    }
+
+
+def with_states(progress: Progress | None, controllers: Iterable[Controller]) -> Callable[[float], None] | None:
+    """Return a function of the time that calls `progress` with the time and each axis' state; None for None."""
+    if progress is None:
+        return None
+    return lambda t_s: progress(t_s, [axis_state(controller) for controller in controllers])

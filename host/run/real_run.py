@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from coulombus.host.run.client_requests import Progress
 from coulombus.host.run.preflight import check_no_delay, check_no_guess, check_no_rehearsal, refusing
 from coulombus.host.run.realtime_sequence import RealCourse
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Run
-from coulombus.host.run.run_state import Progress
 from coulombus.host.setup.bringup import check_plan
 from coulombus.host.setup.law_demand import check_demand
 from coulombus.recording.output_file import new_file
@@ -39,7 +39,7 @@ def real_run(
     bus : the bus, or a bus for each of `Rig.channels`; default is the virtual bus with the rig's name, or
         those of its buses (`rigs.buses`)
     signals : entered by the caller; a signal then ends the run safely
-    progress : called with the display's time in s and each axis' state (`run_state.axis_state`)
+    progress : called with the display's time in s and each axis' state (`client_requests.axis_state`)
     cpu : CPU of the data plane; default is the last CPU that this process may use
 
     Raises
@@ -72,20 +72,15 @@ def real_run(
             cpu=default_cpu() if cpu is None else cpu,
         )
     try:
-        try:
-            with refusing():
-                course.prepare()
-                course.course(run.seconds)
-        finally:
-            course.end()
-        result = course.concluded()
+        result = course.run(run.seconds)
         picture = run.outputs.histogram
         if picture is not None:
             from coulombus.host.run.histogram import draw_histograms
 
             try:
                 with new_file(picture, force=run.outputs.force) as path:
-                    draw_histograms(*course.histograms(), rig.bus.period_s * 1e6, path)
+                    bins = course.plane.shared
+                    draw_histograms(bins.wakeup_bins, bins.latency_bins, rig.bus.period_s * 1e6, path)
             except OSError as error:
                 if result.exit_status == 0:
                     raise

@@ -10,8 +10,8 @@ from __future__ import annotations
 import signal
 import termios
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 from coulombus.host.cycle.controllers import Controllers
@@ -22,19 +22,17 @@ from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run.arm_key import new_arm_key
 from coulombus.host.run.changes import Changes
-from coulombus.host.run.client_requests import Answers
+from coulombus.host.run.client_requests import Answers, Progress, with_states
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_external import switch_of
-from coulombus.host.run.histogram import Counts
 from coulombus.host.run.last_word import forget_word, leave_word, wall_time
 from coulombus.host.run.markers import BitMarks, StruckKeys
-from coulombus.host.run.preflight import place_of
+from coulombus.host.run.preflight import place_of, refusing
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Run
 from coulombus.host.run.run_recording import StampOrder, begin_recording
 from coulombus.host.run.run_sequence import SAFE_TIMEOUT_NS, Course, Figures
-from coulombus.host.run.run_state import Progress, with_states
 from coulombus.host.run.world_display import WorldDisplay
 from coulombus.host.setup.bringup import bring_up, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
@@ -166,7 +164,8 @@ class RealCourse(Course):
         """Request the safe state from the data plane."""
         self.plane.stop(trip)
 
-    def prepare(self) -> None:
+    @refusing()
+    def set_up(self) -> tuple[str, ...]:
         """Load the data plane, check that no other host is on the bus, bring the nodes up."""
         alone_at = time.monotonic() + LISTEN_S
         self.plane.wait_ready()
@@ -180,16 +179,13 @@ class RealCourse(Course):
         elif self.address.moves_hardware:
             say("coulombus: no dead man's switch: host.deadman is none")
         self._touched = True
-        self.losses = bring_up(self.k, self.control)
-        for text in self.losses:
+        losses = bring_up(self.k, self.control)
+        for text in losses:
             say(f"coulombus: {text}")
         now = time.monotonic_ns()
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
-
-    def _hold(self, until_ns: int) -> None:
-        """Count the dead man's switch as held until `until_ns`."""
-        self.plane.hold_deadman(until_ns)
+        return losses
 
     def _await_hand(self, switch: Switch) -> None:
         """Wait until the dead man's switch is held; for a switch that is not an object of a device."""
@@ -202,9 +198,21 @@ class RealCourse(Course):
                 raise SafetyTrip(f"arming refused: {switch.name} was not held within {HAND_TIMEOUT_S:g} s")
             time.sleep(POLL_S)
 
-    def course(self, seconds: float | None) -> None:
-        """Run from arming to the safe end; `seconds` as in `display`."""
-        switch = switch_of(self.deadman, self._hold, self._keys.strike)
+    @contextmanager
+    def armed(self) -> Iterator[None]:
+        """Arm; an error in the context is a trip, and in every case the rig is made safe first."""
+        self._arm()
+        try:
+            yield
+        except Exception as error:
+            self._fail(error)
+        finally:
+            self.make_safe()
+
+    @refusing()
+    def _arm(self) -> None:
+        """Wait for the dead man's switch, and begin the cycle."""
+        switch = switch_of(self.deadman, self.plane.hold_deadman, self._keys.strike)
         if self.deadman != "key":
             self._watch_keys()
         if switch is not None:
@@ -220,13 +228,11 @@ class RealCourse(Course):
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
-        try:
-            self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.k.mode}")
-            self.display(seconds)
-        except Exception as error:
-            self._fail(error)
-        finally:  # in every case the rig is made safe first
-            self.make_safe()
+
+    def display(self, seconds: float | None) -> None:
+        """Tell the service manager that the host is ready, and display."""
+        self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.k.mode}")
+        super().display(seconds)
 
     def _fail(self, error: Exception) -> None:
         """Trip with `Trip.HOST` for an error of this process; the first error counts.
@@ -398,8 +404,7 @@ class RealCourse(Course):
             self._fail(error)
         return Figures([Measures() for _ in self.k], None)
 
-    def result(self) -> RunResult:
-        """Return the result of the run."""
+    def _result(self) -> RunResult:
         k, plane, figures = self.k, self.plane, self.figures()
         wakeup, latency, skew = plane.wakeup(), plane.latency(), plane.skew()
         counters = k.counters() | plane.counters()
@@ -425,7 +430,7 @@ class RealCourse(Course):
             trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
         )
 
-    def concluded(self) -> RunResult:
+    def result(self) -> RunResult:
         """Return the result of the run; a first error becomes a trip, and the result is computed again.
 
         Raises
@@ -434,14 +439,10 @@ class RealCourse(Course):
             the second attempt failed, too
         """
         try:
-            return self.result()
+            return self._result()
         except Exception as error:
             self._fail(error)
         try:
-            return self.result()
+            return self._result()
         except Exception as error:
             raise SafetyTrip(f"HOST: {self.error}") from error
-
-    def histograms(self) -> tuple[Counts, Counts]:
-        """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
-        return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()

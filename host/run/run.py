@@ -158,8 +158,8 @@ class Run:
 
     def __post_init__(self) -> None:
         if self.mode not in self.rig.modes:
-            known = f"{', '.join(self.rig.modes)}{nearest(self.mode, self.rig.modes)}"
-            raise ValueError(f"mode {self.mode!r}: the rig has {known}")
+            modes = f"{', '.join(self.rig.modes)}{nearest(self.mode, self.rig.modes)}"
+            raise ValueError(f"mode {self.mode!r}: the rig has {modes}")
         a_number(self.seed, "seed", "7", whole=True)
         a_number(self.world_every, "world_every", "5", whole=True)
         if self.world_every < 1:

@@ -1,14 +1,15 @@
-"""Sequence of a run: arming, display, safe end, result.
+"""Sequence of a run: set up, arm, display, make safe, end.
 
-Virtual time and real time share this sequence. `lab.simulate` and `host.run.real_run` define the time;
-this module defines the steps and their order. It also sets the recording's markers: for each axis
-``phase KIND`` ... ``phase end``, and at the end ``safe`` or ``trip WHY``.
+Virtual time and real time share this sequence, `Course.run`. They differ in the abstract members of `Course`, which
+`lab.virtual_course` and `host.run.realtime_sequence` define. The sequence also sets the recording's markers:
+``run MODE``, for each axis ``phase KIND`` ... ``phase end``, and at the end ``safe`` or ``trip WHY``.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,23 +60,30 @@ class Course(ABC):
         self.marks = PhaseMarks(k.rig)
         self._end_marked = self._trip_marked = False
 
-    # time, start and safe state
+    def run(self, seconds: float | None) -> RunResult:
+        """Set up, arm, display for `seconds` (None: until the run is ended), make safe, end; return the result."""
+        try:
+            self.losses = self.set_up()
+            with self.armed():
+                self.display(seconds)
+        finally:
+            self.end()
+        return self.result()
+
+    # the differences of virtual time and real time
 
     @property
     @abstractmethod
     def now_ns(self) -> int:
         """The present time."""
 
-    @property
-    def starts_ns(self) -> tuple[int | None, ...]:
-        """Time at which each axis' drive entered Operation Enabled, which begins its schedule; None before."""
-        enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.k)
-        return tuple(None if start < 0 else start for start in enabled_ns)
+    @abstractmethod
+    def set_up(self) -> tuple[str, ...]:
+        """Bring the nodes up, set the marker ``run MODE``; return the losses."""
 
-    @property
-    def safe_ns(self) -> int | None:
-        """Time at which the first axis entered its safe state; None before."""
-        return self.k.safe_ns
+    @abstractmethod
+    def armed(self) -> AbstractContextManager[None]:
+        """Return a context that begins the cycle, and at its end makes the rig safe."""
 
     @abstractmethod
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
@@ -88,7 +96,26 @@ class Course(ABC):
     def stop(self, trip: Trip = Trip.NONE) -> None:
         """Request the safe state from the host: the normal end, or with the reason `trip`."""
 
-    # the course
+    @abstractmethod
+    def end(self) -> None:
+        """Leave the nodes, close the recording."""
+
+    @abstractmethod
+    def result(self) -> RunResult:
+        """Return the result of the run."""
+
+    # display and safe state
+
+    @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """Time at which each axis' drive entered Operation Enabled, which begins its schedule; None before."""
+        enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.k)
+        return tuple(None if start < 0 else start for start in enabled_ns)
+
+    @property
+    def safe_ns(self) -> int | None:
+        """Time at which the first axis entered its safe state; None before."""
+        return self.k.safe_ns
 
     @property
     def enabled_ns(self) -> int | None:
@@ -202,8 +229,8 @@ class Course(ABC):
             return Figures(none, sha256)
         return Figures([measure(axis) for axis in blocks(self.path).axes], sha256)
 
-    def result_of(self, figures: Figures, **own: Any) -> RunResult:
-        """Return the result of the run; `own`: fields that differ between virtual time and a rig."""
+    def result_of(self, figures: Figures, **fields: Any) -> RunResult:
+        """Return the result of the run; `fields`: those that differ between virtual time and a rig."""
         return RunResult.of(
             self.k,
             figures.each,
@@ -211,5 +238,5 @@ class Course(ABC):
             recording_sha256=figures.sha256,
             trip=self.trip,
             losses=self.losses,
-            **own,
+            **fields,
         )

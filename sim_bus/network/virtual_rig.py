@@ -261,11 +261,11 @@ class VirtualRig(VirtualNetwork):
 
     # data for a replay of the host besides the frames
 
-    def keep_told(self) -> None:
+    def record_messages(self) -> None:
         """Store the host's telemetry of each cycle from now on (`host.cycle.telemetry`)."""
         self._world["tells"] = 1
 
-    def take_told(self) -> Records:
+    def recorded_messages(self) -> Records:
         """Return the host's telemetry since the last call, valid until time passes."""
         count = int(self._world["told_count"][0])
         self._world["told_count"] = 0

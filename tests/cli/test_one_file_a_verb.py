@@ -14,25 +14,18 @@ CLI = ROOT / "coulombus" / "cli"
 VERBS = {name for section in SECTIONS.values() for name in section}
 SHARED = {
     "main": "the list of the verbs",
-    "errors": "what ends a verb",
-    "exit_status": "what it ends with",
-    "bundle": "options that are one value of a verb",
-    "common": "options of several verbs, and checks of what they say",
+    "errors": "what ends a verb, and with which status",
+    "options": "how options are declared, and those of several verbs",
     "option_types": "what an option's text may be",
-    "rig_options": "a rig and its buses",
-    "fault_options": "the bus of inject and clear, and their marker",
-    "hosts": "the running host that stop, status, mark and set mean",
+    "rig_options": "a rig, its buses, and the running host that are meant",
     "device_options": "the bus of the verbs for devices",
-    "page_options": "the page of run, sim and watch",
-    "outputs": "what run writes",
+    "page_options": "the page of run, emulate and watch",
     "tables": "what is printed, and progress",
     "run_table": "the results of run, simulate and demo",
     "sdo_shell": "the prompt of sdo",
-    "analyse_options": "the loop's and the rig's options of the verbs of analyse",
-    "analyse_output": "what the verbs of analyse print",
+    "analyse_shared": "options of the verbs of analyse, and what they print",
     "analyse_theory": "the verbs of analyse that need no rig",
-    "analyse_rig": "the verbs of analyse that run a rig",
-    "analyse_plane": "the verb of analyse for two coupled joints",
+    "analyse_rig": "the verbs of analyse on a rig",
 }
 """The modules that are no verb, and what they hold."""
 

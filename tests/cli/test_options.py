@@ -1,16 +1,18 @@
-"""Options that belong together reach a verb as one value."""
+"""Options are declared once; those that belong together reach a verb as one value."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated
 
 import click
 import pytest
 from click.testing import CliRunner
 
-from coulombus.cli.bundle import bundle
 from coulombus.cli.main import main
+from coulombus.cli.options import argument, option, with_options, words
 from coulombus.cli.rig_options import BusesOptions, OneBusOptions, RigOptions
 from coulombus.rigs.overrides import SHARED_MACHINE, shared_machine
 
@@ -19,8 +21,16 @@ from coulombus.rigs.overrides import SHARED_MACHINE, shared_machine
 class Pair:
     """Two options."""
 
-    first: int
-    second: tuple[str, ...]
+    first: Annotated[int, option("The one.", default=3)]
+    second: Annotated[tuple[str, ...], option("--2nd", "-s", "The other.", metavar="TEXT")]
+
+
+@dataclass(frozen=True)
+class Triple(Pair):
+    """Two options, a flag and a number."""
+
+    to_rig: Annotated[bool, option("The flag.")]
+    speed: Annotated[float | None, option("-v", "The number.", type=float)]
 
 
 @pytest.fixture
@@ -28,25 +38,48 @@ def verb():
     got = []
 
     @click.command()
-    @bundle("pair", Pair, click.option("--first", default=3, help="The one."), click.option("--second", multiple=True))
-    @click.option("--third", is_flag=True)
-    def command(pair, third):
-        got.append((pair, third))
+    @with_options
+    def command(
+        place: Annotated[Path, argument(type=click.Path(path_type=Path))],
+        pair: Pair,
+        third_time: Annotated[bool, option("--not a flag, but help")],
+    ) -> None:
+        got.append((place, pair, third_time))
 
     return command, got
 
 
 def test_a_verb_gets_the_values_as_one_and_its_own_beside_it(verb):
     command, got = verb
-    assert CliRunner().invoke(command, ["--second", "a", "--third", "--second", "b"]).exit_code == 0
-    assert CliRunner().invoke(command, ["--first", "-2"]).exit_code == 0
-    assert got == [(Pair(3, ("a", "b")), True), (Pair(-2, ()), False)]
+    assert CliRunner().invoke(command, ["x", "--2nd", "a", "--third-time", "-s", "b"]).exit_code == 0
+    assert CliRunner().invoke(command, ["y", "--first", "-2"]).exit_code == 0
+    assert got == [(Path("x"), Pair(3, ("a", "b")), True), (Path("y"), Pair(-2, ()), False)]
 
 
 def test_the_help_has_the_options_in_their_order(verb):
-    said = CliRunner().invoke(verb[0], ["--help"]).output
-    assert "The one." in said
-    assert said.index("--first") < said.index("--second") < said.index("--third")
+    text = CliRunner().invoke(verb[0], ["--help"]).output
+    assert "--first INTEGER  The one.  [default: 3]" in text
+    assert "-s, --2nd TEXT" in text
+    assert "--third-time     --not a flag, but help" in text
+    assert text.index("--first") < text.index("--2nd") < text.index("--third-time")
+
+
+@pytest.mark.parametrize("line", ["--first -2 --2nd a --2nd b", "--first 3 --to-rig -v 0.1234567", "--first 3"])
+def test_the_words_of_a_value_give_it_again(line):
+    got = []
+
+    @click.command()
+    @with_options
+    def command(triple: Triple) -> None:
+        got.append(triple)
+
+    assert CliRunner().invoke(command, line.split()).exit_code == 0
+    assert words(got[0]) == line.split()
+    assert words(got[0], Pair, without=["second"]) == line.split()[:2]
+
+
+def test_a_whole_number_of_seconds_has_no_point_in_the_words():
+    assert words(Triple(3, ("x=1.0",), False, 13.0), without=["first"]) == ["--2nd", "x=1.0", "-v", "13"]
 
 
 def test_what_is_set_by_hand_counts_more_than_what_comes_before_it():
@@ -69,14 +102,14 @@ def test_a_missed_message_may_take_50_ms_on_a_shared_machine(period_s, own, cycl
 
 
 def test_a_rig_and_its_buses_are_found_together():
-    rig, address = OneBusOptions("two_axes", ("bus.bitrate_bit_s=1000000",), "coulombus:here", None).found()
+    rig, address = OneBusOptions("two_axes", ("bus.bitrate_bit_s=1000000",), "coulombus:here", None).resolve()
     assert (rig.name, str(address), rig.bus.bitrate_bit_s) == ("two_axes", "coulombus:here", 1_000_000)
     one = BusesOptions("bench", (), ("coulombus:there",), None)
     assert [str(found) for found in one.addresses(one.load()).values()] == ["coulombus:there"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("line", "reason"),
     [
         ("watch --interval 1 --foxglove", "--interval is of the table in a terminal: leave it or --foxglove out"),
         ("watch --web --plotjuggler", "--web and --plotjuggler: choose one of them"),
@@ -95,9 +128,9 @@ def test_a_rig_and_its_buses_are_found_together():
         ("replay run.pcapng --virtual --law dahl", "--law and --set go with --host"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(words, told, tmp_path, monkeypatch):
+def test_options_that_do_not_go_together_are_refused(line, reason, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.pcapng").touch()
-    result = CliRunner().invoke(main, words.split())
+    result = CliRunner().invoke(main, line.split())
     assert result.exit_code == 2
-    assert told in result.stderr
+    assert reason in result.stderr

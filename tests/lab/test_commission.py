@@ -16,7 +16,7 @@ from coulombus.host.commission.steps import STEPS
 from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
-from coulombus.lab.rehearsal import rehearsed
+from coulombus.lab.commissioning import rehearsed
 from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.regression import Estimate
 from coulombus.recording.pcapng_writer import PcapngWriter

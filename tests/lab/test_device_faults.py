@@ -9,8 +9,8 @@ import re
 import pytest
 
 from coulombus.host.sdo.sdo_client import SdoClient
+from coulombus.lab.set_up import set_up
 from coulombus.lab.simulate import simulate
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_script
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -48,7 +48,7 @@ class Master:
         self.frames = []
         keep = lambda batch: self.frames.extend((int(f["can_id"]), int(f["word"])) for f in batch)  # noqa: E731
         self.world = VirtualRig(load_rig("bench", ("operator.tremor_Nm=0.0", *overrides)), "hybrid", on_frames=keep)
-        switch_on(self.world)
+        set_up(self.world)
         self.torque, self.raw = 90, 3000
         for word in (0x06, 0x07, 0x0F):
             self.cycle(2, word)

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.rigs.guarding import life_of
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import read_faults
@@ -45,7 +45,7 @@ class Lost:
                 f'[[fault]]\nkind = "cut"\nat_s = {AFTER_S}\nafter = "enabled"\nhalves = {json.dumps(halves)}\n'
             )
             Injection(world, read_faults(file), 1)
-        switch_on(world)
+        set_up(world)
         world.start_host()
         world.run_until(2 * SECOND, lambda: world.enabled_ns is not None)
         self.t_ns = world.enabled_ns + round(AFTER_S * SECOND)

@@ -10,8 +10,8 @@ import pytest
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.replay.virtual_replay import virtual_replay
+from coulombus.lab.set_up import set_up
 from coulombus.lab.simulate import simulate
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
@@ -23,7 +23,7 @@ HOLD_ONLY = ('phase=[{kind = "rest", duration_s = 1.0}, {kind = "tip_hold", dura
 def started(mode="hybrid", *overrides):
     """Return a world whose host cycles."""
     world = VirtualRig(load_rig("plane", overrides), mode, tip=True)
-    switch_on(world)
+    set_up(world)
     world.start_host()
     return world
 

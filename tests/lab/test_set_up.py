@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.setup.bringup import bring_up
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.lab import set_up as module
-from coulombus.lab.set_up import forget, give_back, ready_world, set_up
+from coulombus.lab.set_up import clear_cache, ready_world, return_world, set_up
 from coulombus.lab.simulate import simulate
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from places import ROOT
@@ -21,26 +23,28 @@ from places import ROOT
 EXAMPLES = ROOT / "examples"
 DISPLAY_NS = 700_000_000
 
+cached_set_up = partial(set_up, cached=True)
+
 pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="the plants' way through the set-up is a compiled function")
 
 
 @pytest.fixture(autouse=True)
 def nothing_kept() -> Iterator[None]:
-    forget()
+    clear_cache()
     yield
-    forget()
+    clear_cache()
 
 
 @pytest.fixture
 def set_ups(monkeypatch: pytest.MonkeyPatch) -> list[VirtualRig]:
-    """The worlds that were set up by themselves."""
+    """The worlds that were brought up over SDO."""
     done: list[VirtualRig] = []
 
-    def counted(world: VirtualRig) -> tuple[str, ...]:
+    def counted(controllers: Controllers, world: VirtualRig) -> tuple[str, ...]:
         done.append(world)
-        return switch_on(world)
+        return bring_up(controllers, world)
 
-    monkeypatch.setattr(module, "switch_on", counted)
+    monkeypatch.setattr(module, "bring_up", counted)
     return done
 
 
@@ -87,10 +91,10 @@ def test_a_run_that_takes_a_set_up_over_has_the_same_bytes(
     name: str, mode: str, changed: tuple[str, ...], set_ups: list[VirtualRig]
 ) -> None:
     first = load_rig(EXAMPLES / "elastic.toml" if name == "elastic" else name)
-    set_up(VirtualRig(first, mode, seed=3))
+    cached_set_up(VirtualRig(first, mode, seed=3))
     other = first.variant(*changed)
-    alone, taken = course(other, mode, 11, switch_on), course(other, mode, 11, set_up)
-    assert len(set_ups) == 1
+    alone, taken = course(other, mode, 11, set_up), course(other, mode, 11, cached_set_up)
+    assert len(set_ups) == 2
     assert {key for key in alone if alone[key] != taken[key]} == set()
 
 
@@ -101,7 +105,7 @@ def test_a_world_that_begins_again_has_the_same_bytes(
 ) -> None:
     first = load_rig(EXAMPLES / "elastic.toml" if name == "elastic" else name)
     world = VirtualRig(first, mode, seed=3)
-    losses = set_up(world)
+    losses = cached_set_up(world)
     world.start_host()
     world.wait_ns(DISPLAY_NS)
     if tripped:
@@ -109,12 +113,12 @@ def test_a_world_that_begins_again_has_the_same_bytes(
         world.wait_ns(50_000_000)
         assert world.controllers.trip is not None
         world.inject(0, "over_current", present=False)
-    give_back(world)
+    return_world(world)
     other = first.variant(*changed)
     ready = ready_world(other, mode, 11)
     assert ready == (world, losses)
     assert ready_world(other, mode, 11) is None  # it is somebody's
-    alone, again = course(other, mode, 11, switch_on), displayed(world, lambda: losses)
+    alone, again = course(other, mode, 11, set_up), displayed(world, lambda: losses)
     assert {key for key in alone if alone[key] != again[key]} == set()
 
 
@@ -122,8 +126,8 @@ def test_a_world_of_other_devices_or_of_a_law_that_may_be_edited_is_nobodys() ->
     rig = load_rig("bench")
     for one in (rig, rig.with_law(f"{EXAMPLES / 'own_law.py'}:stribeck")):
         world = VirtualRig(one, "hybrid")
-        set_up(world)
-        give_back(world)
+        cached_set_up(world)
+        return_world(world)
     assert ready_world(one, "hybrid", 0) is None
     assert ready_world(rig, "active", 0) is None
     assert ready_world(rig.variant("mechanics.friction_Nm=0.15"), "hybrid", 0) is None
@@ -142,8 +146,8 @@ def test_threads_that_simulate_side_by_side_do_not_share_a_world() -> None:
 def test_a_world_whose_host_believes_something_else_is_not_kept() -> None:
     rig = load_rig("bench")
     world = VirtualRig(rig, "hybrid", believed=rig.variant("mechanics.friction_Nm=0.15"))
-    set_up(world)
-    give_back(world)
+    cached_set_up(world)
+    return_world(world)
     assert ready_world(rig, "hybrid", 0) is None
 
 
@@ -157,24 +161,24 @@ def test_a_world_whose_host_believes_something_else_is_not_kept() -> None:
 )
 def test_a_set_up_is_not_taken_over_where_it_may_differ(changed: str, set_ups: list[VirtualRig]) -> None:
     rig = load_rig("bench")
-    set_up(VirtualRig(rig, "hybrid"))
-    set_up(VirtualRig(rig.variant(changed), "hybrid"))
+    cached_set_up(VirtualRig(rig, "hybrid"))
+    cached_set_up(VirtualRig(rig.variant(changed), "hybrid"))
     assert len(set_ups) == 2
 
 
 def test_a_set_up_of_another_mode_is_not_taken_over(set_ups: list[VirtualRig]) -> None:
     rig = load_rig("bench")
     for mode in ("hybrid", "active", "hybrid", "active"):
-        set_up(VirtualRig(rig, mode))
+        cached_set_up(VirtualRig(rig, mode))
     assert len(set_ups) == 2
 
 
 def test_a_world_with_a_script_is_set_up_by_itself(set_ups: list[VirtualRig]) -> None:
     rig = load_rig("bench")
-    set_up(VirtualRig(rig, "hybrid"))
+    cached_set_up(VirtualRig(rig, "hybrid"))
     world, called = VirtualRig(rig, "hybrid"), []
     world.at(1_000_000, lambda one: called.append(one.t_ns))
-    set_up(world)
+    cached_set_up(world)
     assert len(set_ups) == 2
     assert called == [1_000_000]
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from coulombus.host.errors import DeviceMismatch, NodeMissing
+from coulombus.lab.set_up import set_up
 from coulombus.lab.simulate import simulate
-from coulombus.lab.virtual_bringup import switch_on
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import FaultError
@@ -190,7 +190,7 @@ def test_a_missing_node_is_named():
 def test_python_is_entered_for_services_only():
     """A steady second costs a handful of the kernel's exits."""
     world = VirtualRig(load_rig("bench"), "hybrid")
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.wait_ns(2_000_000_000)
     before = sum(world.exits.values())

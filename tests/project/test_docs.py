@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from coulombus.cli.exit_status import STATUSES
+from coulombus.cli.errors import STATUSES
 from coulombus.cli.main import main
 from coulombus.eds import nmt
 from coulombus.eds.cia402 import TRANSITIONS

@@ -234,7 +234,7 @@ def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
             counts.append(len(part.frames))
             yield part
 
-    monkeypatch.setattr("coulombus.recording.block_source.iter_pcapng", counted)
+    monkeypatch.setattr("coulombus.recording.captures.iter_pcapng", counted)
     assert blocks(recorded).rig.name == "bench"
     assert len(counts) == 1
 

@@ -17,9 +17,9 @@ from coulombus.monitor.decode import bare_rows
 from coulombus.recording.bus_match import ChannelError
 from coulombus.recording.export.export import export
 from coulombus.recording.log_files import read_log
+from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.maps.known_bus import KnownBus
-from coulombus.recording.mf4_log import ready
-from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.reading import blocks, read
 from coulombus.rigs.rig import load_rig, load_rig_text
@@ -101,6 +101,19 @@ def test_the_named_bus_alone_is_read(two, number):
     assert source.remarks == recording.remarks
     tape = load_tape(two, names[number])
     assert (tape.frames["can_id"] == recording.frames["can_id"]).all()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_frames_of_other_buses_are_counted_over_all_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr("coulombus.recording.pcapng_reader.CHUNK", 500)
+    path, remarks = tmp_path / "two.pcapng", []
+    with can.Logger(path) as log:
+        for message in messages():
+            log.on_message_received(message)
+    first, second = buses_of(path)
+    assert sum(1 for _ in iter_pcapng(path)) > 2
+    list(bare_rows(path, first, KnownBus(), remarks))
+    assert remarks == [f"{path}: {CYCLES} frames of the bus {second} were left out"]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -289,3 +302,5 @@ def test_all_buses_of_a_log_have_one_time_zero(tmp_path):
     told = explain(path, channel="can1")
     assert told.at_s(told.end_ns) == 5.5
     assert [row["t_s"] for row in bare_rows(path, "can1", KnownBus(), [])] == [5.0, 5.5]
+    assert read(path, channel="can1").t_s.tolist() == [5.0, 5.5]
+    assert blocks(path, channel="can1").extent() == (5.0, 5.5)

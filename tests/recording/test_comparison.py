@@ -20,7 +20,7 @@ from coulombus.recording.pictures.plot import (
 from coulombus.recording.pictures.style import QUANTITIES
 from coulombus.recording.reading import blocks, read
 from coulombus.recording.signals import Recording, UnknownSignal
-from coulombus.recording.span import SpanError, parse_span
+from coulombus.recording.time_search import SpanError, parse_span
 from coulombus.rigs.arguments import WrongCall
 
 

@@ -16,7 +16,7 @@ from coulombus.cli.main import main
 from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.logs.formats import FORMATS
 from coulombus.recording.logs.line_reader import LineReader
-from coulombus.recording.mf4_log import ready
+from coulombus.recording.logs.mf4 import ready
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
 from log_texts import NO_CHANNEL, TEXTS, candump, frames_of, sent_frames, slcan

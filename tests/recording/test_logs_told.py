@@ -16,7 +16,7 @@ from zstandard import ZstdCompressor
 
 from coulombus.recording.export.logs import AscWriter, BlfWriter, CandumpWriter
 from coulombus.recording.log_files import LogError, read_log
-from coulombus.recording.mf4_log import ready
+from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.reading import read
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word

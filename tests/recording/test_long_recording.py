@@ -13,7 +13,6 @@ import zstandard
 from coulombus.recording import reading as module
 from coulombus.recording.export.export import export
 from coulombus.recording.host_telemetry import FIRST, SOURCE_INSIDE
-from coulombus.recording.long_recording import LongRecording
 from coulombus.recording.pcapng_blocks import block
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.pictures.plot import traces_of
@@ -78,7 +77,7 @@ def long(path, monkeypatch, **options):
     monkeypatch.setattr(module, "KEPT_BYTES", 0)
     recording = read(path, **options)
     monkeypatch.undo()
-    assert type(recording) is LongRecording
+    assert recording.is_streamed
     return recording
 
 
@@ -111,7 +110,7 @@ def same(one, other):
 
 def test_it_is_the_recording_that_is_kept(recorded, monkeypatch):
     kept, other = read(recorded), long(recorded, monkeypatch)
-    assert type(kept) is not LongRecording
+    assert not kept.is_streamed
     same(other, kept)
     assert other.remarks == kept.remarks
     assert repr(other) == repr(kept)
@@ -127,6 +126,18 @@ def test_it_is_the_recording_that_is_kept(recorded, monkeypatch):
     assert all(map(equal, *([signal.values for signal in each.signals.values()] for each in (other, kept))))
     with pytest.raises(UnknownSignal):
         other["motor.nothing"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_same_in_other_blocks(recorded, monkeypatch, seed):
+    kept = read(recorded)
+    for size in np.random.default_rng(seed).integers(5_000, 400_000, 2).tolist():
+        monkeypatch.setattr("coulombus.recording.pcapng_reader.CHUNK", size)
+        streamed = blocks(recorded)
+        for name, values in zip(kept.names, series(streamed, *kept.names), strict=True):
+            assert equal(values.values, kept[name].values), (size, name)
+        assert streamed.remarks == kept.remarks
+        same(streamed, kept)
 
 
 def test_a_torn_and_damaged_recording_has_the_same_remarks(recorded, monkeypatch):
@@ -265,7 +276,7 @@ def test_a_short_counter_is_followed_from_the_beginning(tmp_path):
     whole = read(path)
     monkey = pytest.MonkeyPatch()
     with monkey.context() as patch:
-        patch.setattr("coulombus.recording.block_source.LONG_COUNTER", 33)
+        patch.setattr("coulombus.recording.signals.LONG_COUNTER", 33)
         part = read(path, span=(3.5, 3.6))
         values = part["motor.position_rad"].values
     t_s = whole["motor.position_rad"].t_s

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from coulombus.recording import reading
-from coulombus.recording.comparison import compare
+from coulombus.recording.comparison import CommonSpan, Tally, compare, pieces
 from coulombus.recording.difference import Pair
-from coulombus.recording.piecewise import CommonSpan, Tally, pieces
 from coulombus.recording.recorder import Recorder
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import Frame, new_records
@@ -42,7 +41,7 @@ def recorded(path, seed, *, shift=0, cycles=3000, without=(500, 900), phases=(0.
 @pytest.fixture
 def small(monkeypatch):
     monkeypatch.setattr("coulombus.recording.pcapng_reader.CHUNK", 20_000)
-    monkeypatch.setattr("coulombus.recording.piecewise.PIECE_NS", 130 * MS)
+    monkeypatch.setattr("coulombus.recording.comparison.PIECE_NS", 130 * MS)
 
 
 def as_values(comparison):
@@ -86,7 +85,7 @@ def vars_of(pair):
 
 
 def test_many_squares_are_summed_part_by_part(monkeypatch):
-    monkeypatch.setattr("coulombus.recording.piecewise.SUMMED", 100)
+    monkeypatch.setattr("coulombus.recording.comparison.SUMMED", 100)
     tally, values = Tally(), np.random.default_rng(2).normal(size=1000)
     for part in np.array_split(values, 30):
         tally.add(Pair(part, part, np.zeros(len(part))), len(part), "hold")
@@ -109,7 +108,7 @@ def test_a_span_in_which_the_second_has_no_sample_does_not_count():
 
 
 def test_the_pieces_of_a_span_are_the_span(monkeypatch):
-    monkeypatch.setattr("coulombus.recording.piecewise.PIECE_NS", 400 * MS)
+    monkeypatch.setattr("coulombus.recording.comparison.PIECE_NS", 400 * MS)
     span = CommonSpan("hold", (1.0, 2.0), -0.5, 1.25)
     parts = list(pieces(span, is_long=True))
     assert [begin for begin, _ in parts] == [-0.5e9, -0.1e9, 0.3e9, 0.7e9, 1.1e9]

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.recording.log_files import read_log
-from coulombus.recording.logs.time_axis import are_differences, remarks
+from coulombus.recording.logs.log import are_differences, time_remarks
 
 PERIOD_US = 10_000
 
@@ -85,7 +85,7 @@ def test_the_time_of_a_row_left_out_is_added_up_too(tmp_path):
 def test_a_clock_from_zero_with_one_reset_is_no_difference():
     t_ns = np.array(clock(30, 0) + clock(30, 0)) * 1000
     assert not are_differences(t_ns)
-    assert remarks(t_ns)[0].startswith("1 stamp goes back")
+    assert time_remarks(t_ns)[0].startswith("1 stamp goes back")
 
 
 def test_wall_clock_stamps_are_never_differences(tmp_path):

@@ -85,7 +85,7 @@ def test_a_kernel_holds_every_signal_back(number):
 
 
 PRINTS = (
-    "import click; from coulombus.cli.common import verdict; from coulombus.cli.errors import errors\n"
+    "import click; from coulombus.system.exit import verdict; from coulombus.cli.errors import errors\n"
     "with errors(), verdict({status}): click.echo('x' * 100)"
 )
 

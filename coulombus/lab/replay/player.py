@@ -17,11 +17,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.bus_match import Channel, channel_texts, one_bus
-from coulombus.recording.log_files import EXPECTED, WALL_CLOCK_NS, LogError, is_log, is_pcapng
+from coulombus.recording.block import epoch_of
+from coulombus.recording.bus_match import BusMatch, Channel, channel_texts
+from coulombus.recording.file_content import remarks_on
+from coulombus.recording.log_files import EXPECTED, LogError, is_log, is_pcapng
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.reading import captures
-from coulombus.recording.remarks import remarks_on
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.client import BusFull, Client, pack_frame
 from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
@@ -94,15 +95,16 @@ def load_tape(path: str | Path, channel: Channel = None) -> Tape:
         capture = read_pcapng(path)
     else:
         raise LogError(f"{path}: it cannot be read: expected {EXPECTED}")
-    capture, bus_remarks = one_bus(capture, channel_texts(channel))
+    match = BusMatch.without_rig(capture.path, channel_texts(channel))
+    capture = match.select(capture)
     left_out = Counter({"torn": capture.torn, "skipped": capture.skipped})
-    frames, remarks = capture.frames, [*remarks_on(str(path), (*capture.warnings, *bus_remarks), left_out)]
+    frames, remarks = capture.frames, [*remarks_on(str(path), (*capture.warnings, *match.remarks()), left_out)]
     errors = frames["can_id"] & CAN_ERR_FLAG != 0
     if errors.any():
         remarks.append(f"{path}: {int(errors.sum())} error frames were left out: they belong to their own wire")
         frames = frames[~errors]
     stamps: Integers = np.ascontiguousarray(frames["t_ns"])
-    epoch = int(stamps[0]) if len(stamps) and stamps[0] >= WALL_CLOCK_NS else 0
+    epoch = epoch_of(frames)
     t_ns = np.maximum.accumulate(stamps - epoch) if len(stamps) else stamps
     return Tape(str(path), frames, t_ns, (*remarks, *_leaps(path, stamps, t_ns + epoch)))
 

@@ -24,9 +24,9 @@ from coulombus.recording.export.matlab import MatWriter
 from coulombus.recording.export.mcap import McapWriter
 from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
+from coulombus.recording.file_content import remarks_on
 from coulombus.recording.output_file import new_file
 from coulombus.recording.reading import blocks, captures
-from coulombus.recording.remarks import remarks_on
 from coulombus.recording.sample_groups import groups_of, stretches
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import path_text
@@ -193,18 +193,18 @@ def _about(path: str | Path) -> dict[str, str]:
 
 
 def _frames(
-    path: Path, out: Path, kind: str, given: tuple[str, ...], *, force: bool, progress: Callable[[float], None]
+    path: Path, out: Path, kind: str, buses: tuple[str, ...], *, force: bool, progress: Callable[[float], None]
 ) -> Exported:
     """Write whole frames, each with the name of its bus; stamps are wall-clock times if the recording has them."""
     about = _about(path)
     start_ns, count, until, first = int(about.get("start_ns", 0)), 0, 0.0, 0
     torn = skipped = 0
     warnings: list[str] = []
-    match = BusMatch(str(path), ("",), given)
+    match = BusMatch(str(path), ("",), buses)
     with new_file(out, force=force) as place, _whole(FRAMES[kind][1](place, start_ns)) as writer:
         for capture in captures(path):
             torn, skipped, warnings = torn + capture.torn, skipped + capture.skipped, [*warnings, *capture.warnings]
-            capture = match.take(capture) if given else capture
+            capture = match.select(capture) if buses else capture
             if not len(capture.frames):
                 continue
             first = first if count else int(capture.frames["t_ns"][0])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.recording.export.errors import ExportError
-from coulombus.recording.log_files import WALL_CLOCK_NS
+from coulombus.recording.logs.stamps import WALL_CLOCK_NS
 from coulombus.recording.sample_groups import Array, Integers
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records
 
@@ -34,12 +34,12 @@ class _Lines:
     def __init__(self, count: int) -> None:
         self._count = count
         self._columns: list[Array] = []
-        self._kept: list[Array] = []
+        self._present: list[Array] = []
 
-    def text(self, text: str, kept: Any = True) -> None:
-        """Add the same text to the lines that are `kept`."""
+    def text(self, text: str, present: Any = True) -> None:
+        """Add the same text to the lines that are `present`."""
         for character in text.encode():
-            self._append(np.full(self._count, character, np.uint8), kept)
+            self._append(np.full(self._count, character, np.uint8), present)
 
     def decimal(self, values: Integers, digits: int, least: int = 1) -> None:
         """Add decimal numbers with at least `least` digits."""
@@ -48,24 +48,24 @@ class _Lines:
             rest = values // 10**place
             self._append((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
 
-    def hexadecimal(self, values: Integers, digits: int, kept: Any = True) -> None:
+    def hexadecimal(self, values: Integers, digits: int, present: Any = True) -> None:
         """Add hexadecimal numbers with a fixed number of digits."""
         for place in range(digits - 1, -1, -1):
-            self._append(HEX[values >> 4 * place & 15], kept)
+            self._append(HEX[values >> 4 * place & 15], present)
 
     def padded(self, values: Integers, width: int) -> None:
         """Add hexadecimal numbers without leading zeros, one digit at least."""
         for place in range(width - 1, -1, -1):
             self._append(HEX[values >> 4 * place & 15], (values >> 4 * place > 0) | (place == 0))
 
-    def _append(self, column: Array, kept: Any) -> None:
+    def _append(self, column: Array, present: Any) -> None:
         self._columns.append(column)
-        self._kept.append(np.broadcast_to(np.asarray(kept, bool), self._count))
+        self._present.append(np.broadcast_to(np.asarray(present, bool), self._count))
 
     def bytes(self) -> bytes:
         """Return the lines."""
-        kept: Array = np.stack(self._columns, 1)[np.stack(self._kept, 1)]
-        return kept.tobytes()
+        characters: Array = np.stack(self._columns, 1)[np.stack(self._present, 1)]
+        return characters.tobytes()
 
 
 def _byte(frames: Records, k: int) -> Integers:
@@ -109,15 +109,27 @@ def _channels(buses: Sequence[str]) -> Integers:
     return np.array([number_of[name] for name in buses], np.int64)
 
 
-class CandumpWriter:
+class _FrameWriter:
+    """A file of frames whose stamps count from `start_ns`."""
+
+    def __init__(self, path: Path, start_ns: int) -> None:
+        self._file, self._start_ns = path.open("wb"), start_ns
+
+    def abandon(self) -> None:
+        """Close the file after an error."""
+        self._file.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class CandumpWriter(_FrameWriter):
     """``candump -L``: ``(1436509052.249713) can0 123#DEADBEEF``.
 
     No direction letter follows the data, as some programs write it: tshark would read it as data.
     Stamps are truncated to microseconds.
     """
-
-    def __init__(self, path: Path, start_ns: int) -> None:
-        self._file, self._start_ns = path.open("wb"), start_ns
 
     def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
         """Write frames; `buses` are the names of their `source`."""
@@ -146,20 +158,12 @@ class CandumpWriter:
         lines.text("\n")
         self._file.write(lines.bytes())
 
-    def abandon(self) -> None:
-        """Close the file after an error."""
-        self._file.close()
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-
-class AscWriter:
+class AscWriter(_FrameWriter):
     """Vector's .asc: times from the first frame, in microseconds; identifiers in hexadecimal."""
 
     def __init__(self, path: Path, start_ns: int) -> None:
-        self._file, self._start_ns = path.open("wb"), start_ns
+        super().__init__(path, start_ns)
         self._first_ns: int | None = None
 
     def add(self, frames: Records, buses: Sequence[str] = ("can0",)) -> None:
@@ -192,15 +196,11 @@ class AscWriter:
         lines.text("r ", remote & ~error)
         lines.hexadecimal(length, 1, ~error)
         for k in range(8):
-            there = ~remote & ~error & (k < length)
-            lines.text(" ", there)
-            lines.hexadecimal(_byte(frames, k), 2, there)
+            has_byte = ~remote & ~error & (k < length)
+            lines.text(" ", has_byte)
+            lines.hexadecimal(_byte(frames, k), 2, has_byte)
         lines.text("\n")
         self._file.write(lines.bytes())
-
-    def abandon(self) -> None:
-        """Close the file after an error."""
-        self._file.close()
 
     def close(self) -> None:
         """Write the file's end."""
@@ -221,13 +221,13 @@ FILE_HEADER = struct.Struct("<4sLBBBBBBBBQQLL8H8H72x")
 NANOSECONDS, ZLIB, REMOTE, EXTENDED_BLF = 2, 2, 0x80, 1 << 31
 
 
-class BlfWriter:
+class BlfWriter(_FrameWriter):
     """Vector's .blf: objects of CAN messages in compressed containers, stamps in nanoseconds from
     the file's start.
     """
 
     def __init__(self, path: Path, start_ns: int) -> None:
-        self._file, self._start_ns = path.open("wb"), start_ns
+        super().__init__(path, start_ns)
         self._first_ns: int | None = None
         self._last_ns = 0
         self._objects, self._bytes = 0, FILE_HEADER.size
@@ -249,18 +249,18 @@ class BlfWriter:
         self._objects += len(frames)
 
     def _some(self, frames: Records, first_ns: int, error: bool) -> bytes:
-        made = np.zeros(len(frames), ERROR if error else MESSAGE)
-        made["signature"], made["header"], made["version"] = b"LOBJ", 32, 1
-        made["size"], made["kind"] = made.itemsize, CAN_ERROR_EXT if error else CAN_MESSAGE
-        made["unit"] = NANOSECONDS
+        rows = np.zeros(len(frames), ERROR if error else MESSAGE)
+        rows["signature"], rows["header"], rows["version"] = b"LOBJ", 32, 1
+        rows["size"], rows["kind"] = rows.itemsize, CAN_ERROR_EXT if error else CAN_MESSAGE
+        rows["unit"] = NANOSECONDS
         _require_not_before(frames["t_ns"] + self._start_ns, first_ns, "the file's start")
-        made["t_ns"] = frames["t_ns"] + self._start_ns - first_ns
-        made["channel"], made["dlc"], made["data"] = frames["source"], frames["length"], frames["word"]
+        rows["t_ns"] = frames["t_ns"] + self._start_ns - first_ns
+        rows["channel"], rows["dlc"], rows["data"] = frames["source"], frames["length"], frames["word"]
         can_id = frames["can_id"]
-        made["can_id"] = (can_id & EXTENDED) | np.where(can_id & CAN_EFF_FLAG, EXTENDED_BLF, 0)
+        rows["can_id"] = (can_id & EXTENDED) | np.where(can_id & CAN_EFF_FLAG, EXTENDED_BLF, 0)
         if not error:
-            made["flags"] = np.where(can_id & CAN_RTR_FLAG, REMOTE, 0)
-        return made.tobytes()
+            rows["flags"] = np.where(can_id & CAN_RTR_FLAG, REMOTE, 0)
+        return rows.tobytes()
 
     def _container(self, content: bytes) -> None:
         packed = zlib.compress(content, 1)
@@ -268,10 +268,6 @@ class BlfWriter:
         head = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, LOG_CONTAINER)
         self._file.write(head + struct.pack("<H6xL4x", ZLIB, len(content)) + packed + bytes(size % 4))
         self._bytes += 32 + len(content)
-
-    def abandon(self) -> None:
-        """Close the file after an error."""
-        self._file.close()
 
     def close(self) -> None:
         """Write the header, which contains the file's length."""

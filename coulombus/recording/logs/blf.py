@@ -67,7 +67,7 @@ def read(content: Content) -> Log:
     reader = _Objects(log, _start_ns(start))
     torn = reader.read(content)
     missing = count - reader.count
-    if missing > 0 and (torn or content.given < whole):
+    if missing > 0 and (torn or content.position < whole):
         log.lose("the file ends before them, or is damaged there", count=missing)
     elif torn:
         log.remarks.append(f"{torn} bytes were left out: the file is damaged there, or ends within an object")
@@ -95,7 +95,7 @@ class _Objects:
         """Read all objects; return the number of bytes outside complete objects."""
         torn = 0
         while head := content.read(BASE.size):
-            at = content.given - len(head)
+            at = content.position - len(head)
             whole = len(head) == BASE.size
             signature, _, _, size, kind = BASE.unpack(head) if whole else (b"", 0, 0, 0, 0)
             if signature != b"LOBJ" or size < LEAST:

@@ -48,7 +48,7 @@ class Content:
     broken : str
         If the compressed data are truncated or damaged, or unpack to more than a log can have, where and how; the
         data before are read.
-    given : int
+    position : int
         Bytes of the content read so far.
 
     Raises
@@ -71,7 +71,7 @@ class Content:
         self._chunks = self._plain(CHUNK) if member is None else self._unpacked(member)
         self._chunk, self._at = b"", 0
         self.broken = ""
-        self.given = 0
+        self.position = 0
 
     def __enter__(self) -> Self:
         return self
@@ -93,7 +93,7 @@ class Content:
             parts.append(part)
             self._at += len(part)
             left -= len(part)
-        self.given += count - left
+        self.position += count - left
         return b"".join(parts)
 
     def seek(self, offset: int) -> None:
@@ -113,7 +113,7 @@ class Content:
         """Yield each line without its line end, and whether it has one."""
         text = b""
         while chunk := self.read(CHUNK):
-            chunk = chunk.removeprefix(codecs.BOM_UTF8) if self.given <= CHUNK else chunk
+            chunk = chunk.removeprefix(codecs.BOM_UTF8) if self.position <= CHUNK else chunk
             *whole, text = (text + chunk).split(end)
             for line in whole:
                 yield line.decode("utf-8", "replace"), True

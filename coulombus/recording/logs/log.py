@@ -1,13 +1,15 @@
-"""Content of a log: its frames, its buses, and the number of omitted rows by reason.
+"""Content of a log: its frames, its buses, the number of omitted rows by reason, and remarks on its times.
 
 Frames and omitted rows add up to all rows of the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 from coulombus.recording.logs.stamps import LATEST_NS
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
@@ -17,16 +19,17 @@ from coulombus.wire.frame import Frame, Records, new_records
 __all__ = [
     "BUS_ERROR",
     "CUT",
+    "DIFFERENCES",
     "EVENT",
     "FD",
     "MALFORMED",
     "SHORT",
     "Log",
     "Row",
-    "RowReader",
+    "are_differences",
     "data_of",
     "identifier",
-    "read_rows",
+    "time_remarks",
 ]
 
 Row: TypeAlias = tuple[int, int, int, bytes, str]
@@ -38,9 +41,20 @@ CUT = "the file ends within it"
 EVENT = "no frame, but an event of the tool or the adapter (status, statistics)"
 FD = "a CAN FD frame"
 
+Integers: TypeAlias = npt.NDArray[np.int64]
+
 BUS_ERROR = CAN_ERR_FLAG | 0x080
 """Identifier of an error frame without details."""
 LONGEST_DATA, STANDARD, EXTENDED = 8, 0x7FF, 0x1FFF_FFFF
+
+LEAST_FRAMES = 3
+"""Fewest frames of which a time axis is judged."""
+BACK = 0.2
+"""Share of stamps lower than the one before, from which on stamps are differences. Of a clock, few are."""
+CLOCK_NS = 10_000_000
+"""A single stamp so far from those around it is another clock's; frames of two channels swap by less."""
+
+DIFFERENCES = "its stamps are times since the frame before (candump -t d) and were added up"
 
 
 @dataclass
@@ -92,39 +106,6 @@ class Log:
         return [*texts, *(f"{path}: {text}" for text in self.remarks)]
 
 
-class RowReader(Protocol):
-    """Reads the lines of a format."""
-
-    def row(self, text: str, ended: bool) -> Row | str | None:
-        """Return the frame of a line, the reason for its omission, or None if the line is not a row.
-
-        `ended`: whether the line has its line end; without it the frame must still be complete.
-
-        Raises
-        ------
-        ValueError, IndexError
-            The line is malformed.
-        """
-
-
-def read_rows(lines: Iterable[tuple[str, bool]], rows: RowReader) -> Log:
-    """Read a log line by line; each line comes with whether it has its line end."""
-    log = Log()
-    for number, (text, ended) in enumerate(lines, 1):
-        if not text.strip():
-            continue
-        try:
-            outcome = rows.row(text.rstrip("\r"), ended)
-            if isinstance(outcome, tuple):
-                log.add(outcome)
-                continue
-        except (ValueError, IndexError):
-            outcome = MALFORMED
-        if outcome is not None:
-            log.lose(outcome if ended else CUT, number)
-    return log
-
-
 def identifier(value: int, extended: bool) -> int:
     """Return an identifier with Linux's flag.
 
@@ -150,3 +131,55 @@ def data_of(tokens: list[str], length: int, base: int = 16) -> bytes | None:
     if len(digits) < length or (base == 16 and any(len(digit) != 2 for digit in digits)):
         return None
     return bytes(int(digit, base) for digit in digits)
+
+
+def are_differences(t_ns: Integers) -> bool:
+    """Return whether stamps are times since the frame before: they rise and fall, or all but the first are equal."""
+    steps = np.diff(t_ns)
+    if len(t_ns) < LEAST_FRAMES:
+        return False
+    return bool(np.count_nonzero(steps < 0) >= BACK * len(steps) or (t_ns[1] > 0 and (steps[1:] == 0).all()))
+
+
+def time_remarks(t_ns: Integers) -> list[str]:
+    """Return sentences on the time axis of the frames, which are counted from 1.
+
+    Parameters
+    ----------
+    t_ns : (N,) stamps in the file's order [ns]
+    """
+    if len(t_ns) < LEAST_FRAMES:
+        return []
+    if (t_ns == t_ns[0]).all():
+        return [f"all {len(t_ns)} frames have the stamp {t_ns[0] / 1e9:g} s: it has no times; log with time stamps"]
+    strays = _strays(t_ns)
+    texts = []
+    if len(strays):
+        row = int(strays[0])
+        away_s = max(abs(int(t_ns[row] - t_ns[row - 1])), abs(int(t_ns[row] - t_ns[row + 1]))) / 1e9
+        texts.append(
+            f"{_count(len(strays), 'frame has', 'frames have')} the stamp of another clock: frame {row + 1} is "
+            f"{away_s:g} s from the frames around it; times and rates there are wrong"
+        )
+    in_line = np.delete(np.arange(len(t_ns)), strays)
+    steps = np.diff(t_ns[in_line])
+    back = np.flatnonzero(steps < 0)
+    if len(back):
+        row = int(in_line[back[0] + 1])
+        texts.append(
+            f"{_count(len(back), 'stamp goes', 'stamps go')} back: that of frame {row + 1} by {-steps[back[0]] / 1e9:g} s; "
+            "a reset adapter, a counter that began again, or logs joined: split the log there"
+        )
+    return texts
+
+
+def _strays(t_ns: Integers) -> Integers:
+    """Return the rows of single stamps far outside of the stamps around them, which are in order."""
+    before, here, after = t_ns[:-2], t_ns[1:-1], t_ns[2:]
+    outside = np.maximum(before - here, here - after) > CLOCK_NS
+    rows: Integers = np.flatnonzero(outside & (before <= after)) + 1
+    return rows
+
+
+def _count(number: int, singular: str, plural: str) -> str:
+    return f"{number} {singular if number == 1 else plural}"

@@ -1,8 +1,13 @@
-"""ASAM's .mf4, read by python-can with asammdf; its rows are checked against the resulting frames."""
+"""ASAM's .mf4, read by python-can with asammdf; its rows are checked against the resulting frames.
+
+The verbs suppress `asammdf` when they import python-can, because it takes most of a second
+(`coulombus.cli`). `ready` loads it for a log that needs it.
+"""
 
 from __future__ import annotations
 
 import gc
+import importlib
 import logging
 import sys
 from collections.abc import Iterator
@@ -10,11 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from coulombus.recording import mf4_log
 from coulombus.recording.logs import python_can
 from coulombus.recording.logs.log import Log
 
-__all__ = ["MAGICS", "read"]
+__all__ = ["MAGICS", "read", "ready"]
 
 MAGICS = (b"MDF ", b"UnFinMF ")
 BUS_EVENT = 2
@@ -68,7 +72,7 @@ def _quiet() -> Iterator[None]:
 
 def _rows(path: str | Path) -> int | str | None:
     """Return the number of bus events of a file, the error of a truncated file, or None if it has only signals."""
-    mf4_log.ready()
+    ready()
     import asammdf
 
     try:
@@ -78,3 +82,11 @@ def _rows(path: str | Path) -> int | str | None:
             return sum(events) if events or not groups else None
     except Exception as error:  # asammdf raises any exception of its parsing
         return f"{type(error).__name__}: {error}"
+
+
+def ready() -> None:
+    """Load the library of python-can's reader, if installed."""
+    import can.io.mf4 as reader
+
+    if vars(reader)["asammdf"] is None:
+        importlib.reload(reader)  # in its own namespace, which existing classes use

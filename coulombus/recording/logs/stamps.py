@@ -8,6 +8,7 @@ from decimal import Decimal
 __all__ = [
     "DAY_NS",
     "LATEST_NS",
+    "WALL_CLOCK_NS",
     "bus_clock_ns",
     "busmaster_start_ns",
     "candump_ns",
@@ -26,7 +27,8 @@ DAY_NS = 86_400 * SECOND_NS
 EXACT_CHARACTERS = 20
 POWERS: tuple[int, ...] = tuple(10**digits for digits in range(EXACT_CHARACTERS + 1))
 LATEST_NS = 2**63 - 1
-CLOCK_NS = 10**17  # as `log_files.WALL_CLOCK_NS`
+WALL_CLOCK_NS = 10**17
+"""Stamps beyond this (1973) are wall-clock times; smaller ones count from the run's start."""
 EPOCH_DAYS = 25_569
 """Days from 1899-12-30, from which the start of a .trc counts, to 1970."""
 
@@ -58,7 +60,7 @@ def clock_us(t_ns: int) -> int:
     """Return a stamp that a tool stored as a float of seconds: wall-clock times in whole
     microseconds, the precision of such a float.
     """
-    return (t_ns + 500) // 1000 * 1000 if t_ns >= CLOCK_NS else t_ns
+    return (t_ns + 500) // 1000 * 1000 if t_ns >= WALL_CLOCK_NS else t_ns
 
 
 def float_ns(text: str) -> int:

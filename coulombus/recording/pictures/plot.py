@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.block import Source
 from coulombus.recording.pictures.style import COLOURS, DASHES, QUANTITIES, WORDS, figure, shade
-from coulombus.recording.protocols import Readable
 from coulombus.recording.sample_groups import EXAMPLE
-from coulombus.recording.span import SpanError, checked_span
+from coulombus.recording.time_search import WHOLE, Span, SpanError, checked_span
 from coulombus.rigs.arguments import texts
 
 if TYPE_CHECKING:
@@ -120,9 +120,7 @@ class Envelope:
         return Trace(name, unit, centres[there], self._low[there], self._high[there], self.count)
 
 
-def traces_of(
-    source: Readable, signals: Sequence[str] | None = None, span: tuple[float | None, float | None] = (None, None)
-) -> Plot:
+def traces_of(source: Source, signals: Sequence[str] | None = None, span: Span = WHOLE) -> Plot:
     """Go through a recording and return what a picture of it shows.
 
     Parameters
@@ -257,9 +255,7 @@ def _write_markers(axes: Axes, data: Plot) -> None:
         axes.annotate(shown, (t_s, 1.0), fontsize=7, **place)
 
 
-def plot(
-    source: Readable, signals: Sequence[str] | None = None, span: tuple[float | None, float | None] = (None, None)
-) -> Figure:
+def plot(source: Source, signals: Sequence[str] | None = None, span: Span = WHOLE) -> Figure:
     """Return a figure of a recording's signals; parameters and errors as `traces_of`."""
     return figure_of(traces_of(source, signals, span))
 

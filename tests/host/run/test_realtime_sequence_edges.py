@@ -43,6 +43,9 @@ class Plane:
             raise AttributeError(name)
         return lambda *what: self.log.append((name, *what))
 
+    def hold_deadman(self, until_ns):
+        self.log.append(("hold_deadman", until_ns))
+
     def take(self):
         self.log.append(("take",))
         return "frames"
@@ -211,7 +214,7 @@ def prepared(run, monkeypatch, losses=()):
 
 def test_the_nodes_are_touched_when_the_host_is_alone_and_the_data_plane_is_loaded(run, monkeypatch):
     prepared(run, monkeypatch, ("a loss", "another"))
-    run.prepare()
+    assert run.set_up() == ("a loss", "another")
     assert run.log == [
         ("ready",),
         ("drain", ZERO_NS + 3 * S),
@@ -220,7 +223,6 @@ def test_the_nodes_are_touched_when_the_host_is_alone_and_the_data_plane_is_load
         ("mark", 3 * S, "run hybrid"),
         ("mark", 3 * S, "deadman key"),
     ]
-    assert run.losses == ("a loss", "another")
     assert run.said == ["coulombus: dead man's switch: key", "coulombus: a loss", "coulombus: another"]
 
 
@@ -228,7 +230,7 @@ def test_another_host_keeps_the_nodes_untouched(run, monkeypatch):
     prepared(run, monkeypatch)
     run.control.check_alone = raising(SafetyTrip("another host"))
     with pytest.raises(SafetyTrip):
-        run.prepare()
+        run.set_up()
     assert run._touched is False
     assert not [row for row in run.log if row[0] == "bring_up"]
 
@@ -237,7 +239,7 @@ def test_rights_that_were_refused_are_said(run, monkeypatch):
     prepared(run, monkeypatch)
     right = {"name": "SCHED_FIFO", "detail": "no right", "remedy": "ulimit", "granted": False}
     run.plane.real_time = [{**right, "name": "timer slack", "granted": True}, right]
-    run.prepare()
+    run.set_up()
     assert run.said == [
         "coulombus: SCHED_FIFO: refused (no right); to have it: ulimit",
         "coulombus: dead man's switch: key",
@@ -255,7 +257,7 @@ def test_rights_that_were_refused_are_said(run, monkeypatch):
 def test_the_dead_man_s_switch_is_said(run, monkeypatch, deadman, moves, said):
     prepared(run, monkeypatch)
     run.deadman, run.address.moves_hardware = deadman, moves
-    run.prepare()
+    run.set_up()
     assert run.said == said
 
 
@@ -293,11 +295,6 @@ def test_a_switch_that_nobody_holds_refuses_to_arm(run):
     assert run.clock.ns == ZERO_NS + 30 * S + 10 * MS
 
 
-def test_the_switch_is_held_as_long_as_it_says(run):
-    run._hold(99)
-    assert run.log == [("hold_deadman", 99)]
-
-
 # the course
 
 
@@ -306,8 +303,14 @@ def coursing(run, monkeypatch, switch=None):
     run.signals = SimpleNamespace(
         number=0, defer=lambda: run.log.append("defer"), stop=lambda: run.log.append("signals")
     )
-    logged(run, "_watch_keys", "_await_hand", "display", "make_safe")
+    logged(run, "_watch_keys", "_await_hand", "make_safe")
+    monkeypatch.setattr(Course, "display", lambda self, seconds: run.log.append(("display", seconds)))
     run.buses = "can0"
+
+
+def display(run, seconds):
+    with run.armed():
+        run.display(seconds)
 
 
 @pytest.mark.parametrize("deadman", ["key", "none"])
@@ -316,9 +319,9 @@ def coursing(run, monkeypatch, switch=None):
 def test_a_course_arms_displays_and_makes_safe(run, monkeypatch, deadman, switch, now_ns):
     coursing(run, monkeypatch, switch)
     run.deadman, run.clock.ns, run.changes.arm_key = deadman, now_ns, "ABCD" if switch else ""
-    run.course(2.5)
+    display(run, 2.5)
     assert run.log == [
-        ("switch", deadman, run._hold, run._keys.strike),
+        ("switch", deadman, run.plane.hold_deadman, run._keys.strike),
         *([("_watch_keys",)] if deadman != "key" else []),
         *([("_await_hand", switch)] if switch else []),
         "defer",
@@ -343,7 +346,7 @@ def test_a_bus_that_is_lost_before_is_not_armed(run, monkeypatch, status, alive)
     coursing(run, monkeypatch)
     run.plane.status, run.plane.alive = status, alive
     with pytest.raises(BusUnavailable, match=r"^bus can0: lost before anything was armed: No such device$"):
-        run.course(1.0)
+        display(run, 1.0)
     assert run.log[-2:] == ["defer", "signals"]
 
 
@@ -354,7 +357,7 @@ def test_an_error_of_this_process_is_a_trip_and_the_rig_is_made_safe(run, monkey
         run.notifier.tell = raising(ValueError("x"))
     else:
         run.display = raising(ValueError("x"))
-    run.course(1.0)
+    display(run, 1.0)
     assert run.log[-2:] == [("stop", Trip.HOST), ("make_safe",)]
     assert run.error.startswith("ValueError: x (")
 
@@ -363,7 +366,7 @@ def test_the_rig_is_made_safe_whatever_ends_this_process(run, monkeypatch):
     coursing(run, monkeypatch)
     run.display = raising(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        run.course(1.0)
+        display(run, 1.0)
     assert run.log[-1] == ("make_safe",)
 
 
@@ -737,13 +740,13 @@ def test_a_result_that_fails_once_is_told_and_one_that_fails_twice_is_a_trip(run
             raise turn
         return turn
 
-    run.result = result
-    assert run.concluded() == "the result"
+    run._result = result
+    assert run.result() == "the result"
     assert run.error.startswith("ValueError: first")
     turns[:] = ["the result"]
     run.log.clear()
-    assert run.concluded() == "the result"
+    assert run.result() == "the result"
     assert run.log == []
     turns[:] = [ValueError("second"), ValueError("third")]
     with pytest.raises(SafetyTrip, match=r"^HOST: ValueError: first"):
-        run.concluded()
+        run.result()

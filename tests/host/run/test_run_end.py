@@ -18,7 +18,7 @@ from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.run_recording import StampOrder
 from coulombus.host.run.run_sequence import Course
 from coulombus.host.setup.bringup import release, shut_down
-from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.recording.reading import read
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.trace import TRACE
@@ -69,7 +69,7 @@ def test_a_host_that_leaves_in_order_leaves_no_error_behind(orderly):
 
     world = VirtualRig(load_rig("bench"), "hybrid", on_frames=on_frames)
     k = world.controllers
-    switch_on(world)
+    set_up(world)
     world.start_host()
     world.run_until(world.t_ns + 5 * S, lambda: world.enabled_ns is not None)
     if orderly:
@@ -125,6 +125,9 @@ class Plane:
 
     def start_cycle(self, at_ns):
         self.k.host["phase"] = Phase.STILL
+
+    def hold_deadman(self, until_ns):
+        pass
 
     def stop(self, trip=Trip.NONE):
         self.stop_ns = self.stop_ns or self.now
@@ -185,7 +188,8 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     run.door = SimpleNamespace(stop_wanted=lambda: False)
     run.changes = SimpleNamespace(arm_key="")
     run._keys.strike(struck)
-    run.course(5.0)
+    with run.armed():
+        run.display(5.0)
     run.drain()
     return run
 
@@ -244,5 +248,5 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     run.control = SimpleNamespace(check_alone=lambda at: None, wait_ns=lambda ns: None)
     seen = []
     monkeypatch.setattr(realtime_sequence, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
-    run.prepare()
+    run.set_up()
     assert seen == [1]

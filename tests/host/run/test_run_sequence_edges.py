@@ -4,6 +4,7 @@ it marks, and which figures it has.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -59,7 +60,7 @@ class Virtual(Course):
         assert self.marks.rig == "the rig"
         self.t_ns, self.at, self.stops, self.looks, self.alive = BEGIN_NS, list(at), [], [], True
         self.marks = Marks()
-        self.marked = []
+        self.marked, self.steps = [], []
         self.recorder = SimpleNamespace(mark=lambda t_ns, text: self.marked.append((t_ns, text)))
 
     @property
@@ -78,6 +79,23 @@ class Virtual(Course):
     def stop(self, trip=Trip.NONE):
         self.stops.append(trip)
 
+    def set_up(self):
+        self.steps.append("set up")
+        return ("a loss",)
+
+    @contextmanager
+    def armed(self):
+        self.steps.append("armed")
+        yield
+        self.steps.append("safe")
+
+    def end(self):
+        self.steps.append("end")
+
+    def result(self):
+        self.steps.append("result")
+        return self.losses
+
     def enable(self, axis, t_ns):
         self.k[axis].host["enabled_ns"][0] = t_ns
 
@@ -85,6 +103,28 @@ class Virtual(Course):
 @pytest.fixture(autouse=True)
 def _marks_of_no_rig(monkeypatch):
     monkeypatch.setattr(run_sequence, "PhaseMarks", Marks)
+
+
+def test_a_run_is_set_up_armed_displayed_made_safe_and_ended():
+    run = Virtual(BEGIN_NS)
+    run.display = lambda seconds: run.steps.append(("display", seconds))
+    assert run.run(2.5) == ("a loss",)
+    assert run.steps == ["set up", "armed", ("display", 2.5), "safe", "end", "result"]
+
+
+@pytest.mark.parametrize("step", ["set_up", "armed", "display"])
+def test_a_run_that_fails_or_is_interrupted_is_ended_and_has_no_result(step):
+    run = Virtual(BEGIN_NS)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    setattr(run, step, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.run(None)
+    assert run.steps[-1] == "end"
+    assert run.steps.count("end") == 1
+    assert "result" not in run.steps
 
 
 # arming and display

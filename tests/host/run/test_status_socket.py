@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.run.client_requests import axis_state
 from coulombus.host.run.control_socket import HostSocket, NoHost, ask_status, control_path
-from coulombus.host.run.run_state import axis_state
 from coulombus.host.run.status_socket import PERIOD_NS, READERS, SLOW_S, StatusError, StatusSocket, encoded
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address

@@ -10,8 +10,8 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from coulombus.cli.common import load_with_law
 from coulombus.cli.main import main
+from coulombus.cli.rig_options import load_with_law
 from coulombus.host.cycle.axes import safe_setpoints
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers

@@ -21,8 +21,8 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
 from coulombus.monitor.tools.tool_files import tool_files
+from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.maps.known_bus import KnownBus
-from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig

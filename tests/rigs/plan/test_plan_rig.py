@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.errors import DeviceMismatch
-from coulombus.lab.virtual_bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.rigs.plan.response_times import Errors
 from coulombus.rigs.plan.rig_plan import Assumptions, bitrates_that_fit, largest_axes, plan, plans, shortest_period_ns
 from coulombus.rigs.rig import load_rig
@@ -242,7 +242,7 @@ def test_check_shows_the_verdict():
 def test_bring_up_refuses_and_names_the_frame():
     world = VirtualRig(load_rig("bench", ["bus.bitrate_bit_s=800000", "bus.tpdo_window_s=0.00055"]), "hybrid")
     with pytest.raises(DeviceMismatch, match=r"does not fit.*brake TPDO1 \(182h\)"):
-        switch_on(world)
+        set_up(world)
 
 
 @pytest.mark.slow
@@ -252,7 +252,7 @@ def test_no_frame_of_a_rig_is_later_than_its_bound(name):
     rig = load_rig(name)
     batches = []
     world = VirtualRig(rig, "hybrid", on_frames=lambda log: batches.append(log.copy()))
-    switch_on(world)
+    set_up(world)
     world.flush()
     batches.clear()
     world.start_host()
