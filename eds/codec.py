@@ -17,6 +17,7 @@ zero-extended (UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their I
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Annotated
 
@@ -24,7 +25,18 @@ from coulombus.eds.cia301 import MAX_FIELDS
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import IntegerField, Integers, Record, dtype_of
 
-__all__ = ["MAX_FIELDS", "PDO", "PdoRecord", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
+__all__ = [
+    "MAX_FIELDS",
+    "PDO",
+    "PdoRecord",
+    "get_field",
+    "nearest_integer",
+    "pack",
+    "put_field",
+    "real_bits",
+    "real_value",
+    "unpack",
+]
 
 
 class PdoRecord(Record):
@@ -93,6 +105,19 @@ def pack(pdo: PdoRecord, values: Integers) -> int:
         if slot >= 0:
             word = put_field(word, pdo.start[i], pdo.bits[i], values[slot])
     return word
+
+
+@kernel
+def nearest_integer(value: float, bits: int) -> int:
+    """Return the signed integer of `bits` bits that is nearest to `value`: an end of their range if it lies beyond, the
+    lowest for NaN.
+    """
+    lowest = -(1 << (bits - 1))
+    if not value > float(lowest):
+        return lowest
+    if value > float(-lowest - 1):
+        return -lowest - 1
+    return math.floor(value + 0.5)
 
 
 def real_bits(value: float, bits: int) -> int:

@@ -11,6 +11,8 @@ Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): hand
 current, coil temperature. Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above
 7149h, bit 2 below 7148h.
 
+The scale factors are computed when an object is written, not in the cycle.
+
 In the kernels: `n` the node's record (`node.record`), `k` a number
 from 0, `out` the queue of frames to send.
 """
@@ -20,16 +22,87 @@ from __future__ import annotations
 import math
 
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.codec import nearest_integer
 from coulombus.eds.own_devices import PRODUCTS
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import coil404, emcy, slots, slots404
-from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile
+from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile, SdoAbort
 from coulombus.node.record import BrakeFields, NodeRecord
-from coulombus.node.scaling404 import AUTO_ZERO, SCALED, auto_zero, scale
-from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
 
 __all__ = ["BRAKE404", "actuate", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start"]
+
+_AUTO_ZERO = 0x6F72657A
+"""Signature for 6125h: "zero", little endian."""
+
+_OUTPUT, _INPUTS = range(0x7320, 0x7324), (0x6112, 0x6124, 0x6126, 0x6127, 0x6132, 0x7148, 0x7149)
+_SCALED = frozenset((0x2010, 0x2011, 0x2012, 0x6302, *_OUTPUT, *_INPUTS))
+"""Objects from which scale factors are computed."""
+
+
+def _decimals(digits: int) -> float:
+    """Return 10 ** `digits`, limited to the range of a float."""
+    return 10.0 ** min(max(digits, -30), 30)
+
+
+def _scale_output(record: NodeRecord, objects: Objects) -> None:
+    """Scale the output block: field value by the line through (7320h, 7321h) and (7322h, 7323h); 1000
+    is full scale.
+    """
+    number = objects.number
+    unit_Nm = _decimals(-number(0x6302, 1))
+    full = max(int(record["setpoint_high"]), 1)
+    pv_1, fv_1, pv_2, fv_2 = (
+        number(index, 1, default) for index, default in ((0x7320, 0), (0x7321, 0), (0x7322, full), (0x7323, 1000))
+    )
+    if ((pv_1, fv_1, fv_2) == (0, 0, 1000) and pv_2 == full) or pv_1 == pv_2:
+        slope = 1.0  # exactly; also for a file whose two points are equal
+    else:
+        slope = (fv_2 - fv_1) / (pv_2 - pv_1) * full / 1000
+    record["ao_gain_Nm"] = unit_Nm * slope
+    record["ao_bias_Nm"] = fv_1 / 1000 * full * unit_Nm - pv_1 * slope * unit_Nm
+    record["ao_full_Nm"] = full * unit_Nm
+    record["ao_FV_Nm"] = 1000 / (full * unit_Nm)
+
+
+def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
+    """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h, 7149h); a channel disabled by 6112h accepts
+    nothing.
+    """
+    for k in range(3):
+        unit = _decimals(objects.number(0x6132, k + 1))
+        offset = objects.real(0x6127, k + 1, 0.0) + objects.real(0x6124, k + 1, 0.0)
+        record["ai_gain"][k] = objects.real(0x6126, k + 1, 1.0) * unit
+        record["ai_bias"][k] = offset * unit
+        on = objects.number(0x6112, k + 1, 1)
+        record["ai_low"][k] = objects.number(0x7148, k + 1, -32768) if on else math.inf
+        record["ai_high"][k] = objects.number(0x7149, k + 1, 32767) if on else -math.inf
+
+
+def _scale(record: NodeRecord, objects: Objects) -> None:
+    """Scale the blocks, and update the driver's checks from 2010h, 2011h and 2012h."""
+    own = objects.own
+    _scale_output(record, objects)
+    _scale_inputs(record, objects)
+    record["max_A"], record["short_A"] = own(0x2010, 1, 1500) / 1000, own(0x2010, 2, 3000) / 1000
+    record["least_A"], record["open_ns"] = own(0x2010, 3, 50) / 1000, own(0x2010, 4, 50_000) * 1000
+    warm, hot = own(0x2011, 1, 900) / 10, own(0x2011, 2, 1100) / 10
+    record["warm_degC"], record["hot_degC"] = min(warm, hot), hot
+    record["cooled_degC"], record["share_left"] = hot - own(0x2011, 3, 100) / 10, own(0x2011, 4, 50) / 100
+    coil_A_Nm, board_Nm = float(record["coil_A_Nm"]), float(record["board_Nm"])
+    limit_Nm = record["max_A"] / coil_A_Nm if coil_A_Nm > 0 else math.inf
+    record["limit_Nm"] = min(limit_Nm, board_Nm) if board_Nm > 0 else limit_Nm
+    record["derated"] = 1  # recompute with the present temperature
+    record["demag_A"], record["demag_ns"] = own(0x2012, 1, 0) / 1000, own(0x2012, 2, 5000) * 1000
+    record["demag_delay_ns"] = own(0x2012, 3, 20_000) * 1000
+
+
+def _auto_zero(record: NodeRecord, objects: Objects, channel: int) -> None:
+    """Set 6124h so that the input `channel` (from 1) shows 0 now (6125h)."""
+    value = (record["in_handle_Nm"], record["in_coil_A"], record["in_coil_degC"])[channel - 1]
+    gain, offset = objects.real(0x6126, channel, 1.0), objects.real(0x6127, channel, 0.0)
+    objects[0x6124, channel] = -(float(value) * gain + offset)
+
 
 _NO, _YES = constant(0), constant(1)
 
@@ -135,19 +208,10 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
 
 
 @kernel
-def _to_int16(value: float) -> int:
-    if not value > -32768.0:
-        return -32768
-    if value > 32767.0:
-        return 32767
-    return math.floor(value + 0.5)
-
-
-@kernel
 def _input(n: NodeRecord, k: int, value: float) -> None:
     scaled = value * n.ai_gain[k] + n.ai_bias[k]
     if n.ai_low[k] <= scaled <= n.ai_high[k]:
-        n.values[slots404.INPUT + k] = _to_int16(scaled)
+        n.values[slots404.INPUT + k] = nearest_integer(scaled, 16)
         n.values[slots404.INPUT_STATUS + k] = 0
     else:
         _odd_input(n, k, scaled)
@@ -162,7 +226,7 @@ def _odd_input(n: NodeRecord, k: int, scaled: float) -> None:
         status = 2
     elif scaled < n.ai_low[k]:
         status = 4
-    n.values[slots404.INPUT + k] = _to_int16(scaled)
+    n.values[slots404.INPUT + k] = nearest_integer(scaled, 16)
     n.values[slots404.INPUT_STATUS + k] = status
 
 
@@ -220,19 +284,19 @@ def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["setpoint_high"] = objects.high(0x7300, 1, 32767)
     coil404.start(record)
-    scale(record, objects)
+    _scale(record, objects)
 
 
 def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) -> None:
     if index == 0x6125:
-        auto_zero(record, objects, subindex)
-    if index == 0x6125 or index in SCALED:
-        scale(record, objects)
+        _auto_zero(record, objects, subindex)
+    if index == 0x6125 or index in _SCALED:
+        _scale(record, objects)
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
     """Require the signature in 6125h, and two different points of the output's scale."""
-    if index == 0x6125 and value != AUTO_ZERO:
+    if index == 0x6125 and value != _AUTO_ZERO:
         raise SdoAbort(Abort.VALUE)
     other = {0x7320: 0x7322, 0x7322: 0x7320}.get(index)
     if other is not None and subindex == 1 and value == objects.number(other, 1):

@@ -19,7 +19,7 @@ from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.eds.cia305 import REQUESTS, UNCONFIGURED
 from coulombus.eds.nmt import AFTER_COMMAND, AFTER_ERROR, ALLOWED, Service
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo_traffic, segments
+from coulombus.node import deadlines, emcy, guarding, pdo_traffic
 from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
@@ -35,6 +35,7 @@ from coulombus.node.reactions import (
     sample,
 )
 from coulombus.node.record import NodeRecord
+from coulombus.node.sdo_kernels import answer_upload, collect_segment, send_segments
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 
@@ -153,9 +154,9 @@ def handle(
     if not ALLOWED[n.nmt] & Service.SDO:
         n.dropped_unknown += 1
         return 0
-    if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
+    if n.segments_open > 0 and collect_segment(n, t_ns, can_id, length, data):
         return 0
-    return 0 if expedited.answer(n, t_ns, can_id, length, data, out) else 1
+    return 0 if answer_upload(n, t_ns, can_id, length, data, out) else 1
 
 
 @inlined
@@ -229,7 +230,7 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     if n.causes & emcy.DEVICE_MASK and n.device_error_behaviour != 1:
         _react(n, t_ns, n.device_error_behaviour, out)
     if n.outbox_count > 0 and t_ns >= n.outbox_next_ns:
-        outbox.drain(n, t_ns, out)
+        send_segments(n, t_ns, out)
     if n.sync_producer_ns > 0 and ALLOWED[n.nmt] & Service.SYNC and t_ns >= n.sync_next_ns:
         _produce_sync(n, t_ns, out)
     actuate(n, t_ns)

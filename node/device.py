@@ -8,7 +8,7 @@ This module uses no socket, thread or clock.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +18,7 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
-from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
-from coulombus.node.communication_objects import Communication
+from coulombus.node.communication_objects import PRODUCER, SDO_SERVERS, Communication
 from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
@@ -30,11 +29,41 @@ from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_service import SdoService
 from coulombus.node.store import Store
-from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
-from coulombus.node.time_stamp import time_of_day, time_word
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
+
+TIME_EPOCH = datetime(1984, 1, 1)
+TIME_BYTES = 6
+"""Length of the TIME message (CiA 301, section 7.2.6): milliseconds after midnight and days since 1984-01-01.
+
+```
+bit  47            32 31  28 27                    0
+    +----------------+------+-----------------------+
+    | days           |  0   | ms after midnight     |
+    +----------------+------+-----------------------+
+```
+"""
+
+_MS_MASK, _DAYS_MASK = 0xFFFFFFF, 0xFFFF
+
+
+def time_word(time: datetime) -> int:
+    """Return the data of the TIME message for `time`, as a little-endian word; ValueError outside 1984 to
+    2163.
+    """
+    passed = time - TIME_EPOCH
+    if not 0 <= passed.days <= _DAYS_MASK:
+        raise ValueError(f"{time} is outside what TIME can tell: 1984-01-01 to 2163-06-06")
+    return passed.seconds * 1000 + passed.microseconds // 1000 | passed.days << 32
+
+
+def time_of_day(word: int, elapsed_ns: int = 0) -> datetime:
+    """Return the time of a TIME message, `elapsed_ns` after its reception."""
+    return TIME_EPOCH + timedelta(
+        days=word >> 32 & _DAYS_MASK, milliseconds=word & _MS_MASK, microseconds=elapsed_ns // 1000
+    )
+
 
 MOST_MADE = 16
 """Number of descriptions whose initial device state is cached for further devices."""
@@ -265,7 +294,7 @@ class Device:
             return False
         if not ALLOWED[self.record["nmt"]] & Service.TIME:
             return False
-        push(out, self.record["station"], t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
+        push(out, self.record["station"], t_ns, int(self.record["time_id"]), TIME_BYTES, time_word(time))
         return True
 
     def _boot(self, t_ns: int, out: Queue) -> None:

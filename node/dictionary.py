@@ -22,8 +22,7 @@ from coulombus.eds.own_devices import MANUFACTURER, VENDOR_ID
 from coulombus.eds.pdo import COB_ID_INVALID, unreadable
 from coulombus.eds.reader import Description, Object, Value, Variable
 from coulombus.node.constants import SPARE_SLOTS
-from coulombus.node.profile import CoreObject, Key
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import CoreObject, Key, SdoAbort
 from coulombus.node.slots import FIRST_FREE
 
 __all__ = ["Dictionary", "DictionaryState", "decode", "encode"]

@@ -10,11 +10,9 @@ another vendor's drive follows 6007h, as in CiA 402.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
-from coulombus.eds import cia402
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.drive_scale import SCALE_OBJECTS, VELOCITY_UNIT, position_scale, velocity_unit
 from coulombus.eds.own_devices import PRODUCTS
@@ -30,9 +28,9 @@ from coulombus.node.profile import (
     Key,
     Objects,
     Profile,
+    SdoAbort,
 )
 from coulombus.node.record import DriveFields, NodeRecord
-from coulombus.node.sdo_abort import SdoAbort
 from coulombus.wire.frame import Queue
 
 __all__ = ["COUNTS_REV", "DRIVE402", "with_own_mode"]
@@ -46,17 +44,6 @@ _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, VELOCITY_UNIT, 0x60C2, *(index for index, _ in SCALE_OBJECTS)))
 _TORQUE, _SPEED = constant(slots402.ACTS_TORQUE), constant(slots402.ACTS_SPEED)
 _POSITION, _NO = constant(slots402.ACTS_POSITION), constant(0)
-_SETPOINTS: Mapping[int, Key] = {
-    cia402.OPERATION_MODE_PROFILE_POSITION: (0x607A, 0),
-    cia402.OPERATION_MODE_PROFILE_VELOCITY: (0x60FF, 0),
-    cia402.OPERATION_MODE_PROFILE_TORQUE: _TARGET_TORQUE,
-    cia402.OPERATION_MODE_HOMING: (0x6098, 0),
-    cia402.OPERATION_MODE_INTERPOLATED_POSITION: (0x60C1, 1),
-    cia402.OPERATION_MODE_CSP: (0x607A, 0),
-    cia402.OPERATION_MODE_CSV: (0x60FF, 0),
-    cia402.OPERATION_MODE_CST: _TARGET_TORQUE,
-}
-"""Set-point of each mode; the homing method of mode 6."""
 _AXIS: tuple[Key, ...] = ((0x607B, 1), (0x60B8, 0))
 _SPEED_RAD_S = 300.0
 """Bandwidth of the speed control of a drive that knows its load."""
@@ -153,7 +140,9 @@ def _gains(record: NodeRecord) -> tuple[float, float, float]:
 def _modes(objects: Objects) -> int:
     """Return the offered modes: those of 6502h whose objects the file has."""
     supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
-    return sum(1 << mode - 1 for mode, key in _SETPOINTS.items() if supported >> mode - 1 & 1 and key in objects)
+    return sum(
+        1 << mode - 1 for mode, row in slots402.SETPOINTS.items() if supported >> mode - 1 & 1 and row.key in objects
+    )
 
 
 def _is_servo(record: NodeRecord, objects: Objects) -> bool:

@@ -27,9 +27,8 @@ from coulombus.eds.cia301 import Abort, NmtState
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
 from coulombus.node.constants import INPUTS, OUTPUTS, PORTS
-from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, Terminal
+from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, SdoAbort, Terminal
 from coulombus.node.record import InputOutputFields, NodeRecord
-from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
 from coulombus.wire.frame import Queue
 

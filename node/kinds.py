@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 from coulombus.eds.description import Description
+from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
 from coulombus.eds.own_devices import SERVO, VENDOR_ID, told_identity
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.io401 import IO401, IO404
-from coulombus.node.profile import Behaviour, Profile
+from coulombus.node.profile import Behaviour, Key, Objects, Profile
+from coulombus.node.record import NodeRecord
 from coulombus.node.slots import REGISTER
 
-__all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_description", "of_identity"]
+__all__ = [
+    "BEHAVIOURS",
+    "GENERIC",
+    "NO_KIND",
+    "PROFILES",
+    "named",
+    "number",
+    "of_description",
+    "of_identity",
+    "on_axis",
+]
 
 GENERIC = Profile("generic", objects=(REGISTER,))
 """Any file: objects, PDOs and services. Nothing acts behind the objects; each keeps the value last
@@ -95,9 +109,9 @@ def of_description(description: Description) -> Profile:
     Our own devices have theirs. Otherwise it is the profile of 1000h if the file has its objects, else
     the kind whose objects the file has, else `GENERIC`.
     """
-    own = of_identity(told_identity(description))
-    if own is not GENERIC:
-        return own
+    ours = of_identity(told_identity(description))
+    if ours is not GENERIC:
+        return ours
     device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
     by_profile = _BY_PROFILE.get(device_type & 0xFFFF) if isinstance(device_type, int) else None
     fitting = [kind for kind, indices in _SIGNS if all(_has(description, index, kind) for index in indices)]
@@ -116,3 +130,55 @@ def _has(description: Description, index: int, kind: Profile) -> bool:
         else set()
     )
     return widths == {8 if index < 0x6400 else 16}
+
+
+class _AxisObjects(NamedTuple):
+    """Objects of an axis, by the indices of the first axis."""
+
+    objects: Objects
+    axis: int
+
+    def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
+        return self.objects.number(of_axis(index, self.axis), subindex, fallback)
+
+    def own(self, index: int, subindex: int, fallback: int) -> int:
+        return self.objects.own(index, subindex, fallback)
+
+    def real(self, index: int, subindex: int, fallback: float) -> float:
+        return self.objects.real(of_axis(index, self.axis), subindex, fallback)
+
+    def high(self, index: int, subindex: int, fallback: int) -> int:
+        return self.objects.high(of_axis(index, self.axis), subindex, fallback)
+
+    def __contains__(self, key: object) -> bool:
+        assert isinstance(key, tuple)
+        return (of_axis(key[0], self.axis), key[1]) in self.objects
+
+    def __setitem__(self, key: Key, value: float) -> None:
+        self.objects[of_axis(key[0], self.axis), key[1]] = value
+
+
+def on_axis(profile: Profile, axis: int) -> Profile:
+    """Return a kind of drive with the objects of an axis (1 to 8)."""
+    if axis == 1:
+        return profile
+
+    def started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+        profile.started(record, _AxisObjects(objects, axis), t_ns)
+
+    def changed(record: NodeRecord, objects: Objects, index: int, subindex: int) -> None:
+        if axis_of(index) in (0, axis):
+            profile.changed(record, _AxisObjects(objects, axis), first_axis_object(index), subindex)
+
+    def check(objects: Objects, index: int, subindex: int, value: int) -> None:
+        if axis_of(index) in (0, axis):
+            profile.check(_AxisObjects(objects, axis), first_axis_object(index), subindex, value)
+
+    return replace(
+        profile,
+        objects=tuple(replace(row, index=of_axis(row.index, axis)) for row in profile.objects),
+        terminals=tuple(replace(row, index=of_axis(row.index, axis)) for row in profile.terminals),
+        started=started,
+        changed=changed,
+        check=check,
+    )

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 
 from coulombus.eds.cia301 import Abort
 from coulombus.node.dictionary import Dictionary, decode, encode
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import SdoAbort
 from coulombus.node.store import Store
 
 __all__ = ["LOAD", "SAVE", "Parameters"]

@@ -29,8 +29,7 @@ from coulombus.eds.pdo import (
 from coulombus.node.constants import MAX_PDOS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.kinds import PROFILES
-from coulombus.node.profile import Profile
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import Profile, SdoAbort
 from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]

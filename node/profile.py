@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol, TypeAlias, get_type_hints
 
+from coulombus.eds.cia301 import abort_text
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.records import Record
 from coulombus.node.record import NodeRecord
@@ -32,8 +33,18 @@ __all__ = [
     "Key",
     "Objects",
     "Profile",
+    "SdoAbort",
     "Terminal",
 ]
+
+
+class SdoAbort(Exception):
+    """An SDO service is aborted; the client receives `code`."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(abort_text(code))
+        self.code = code
+
 
 Key: TypeAlias = tuple[int, int]
 """Index and sub-index of an object."""

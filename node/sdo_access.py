@@ -10,8 +10,7 @@ from coulombus.eds.convert import eds_text
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.parameters import RESTORE, STORE, Parameters
-from coulombus.node.profile import Profile
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import Profile, SdoAbort
 
 __all__ = ["Access"]
 

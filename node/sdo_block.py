@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_frames import crc16
 from coulombus.node.constants import BLOCK_SEGMENTS
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import SdoAbort
 
 __all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload"]
 

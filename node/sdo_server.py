@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from coulombus.eds.cia301 import Abort
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import SdoAbort
 from coulombus.node.sdo_block import BLOCK_SEGMENTS, BlockDownload, BlockUpload
 
 __all__ = ["Backend", "SdoServer", "abort_frame"]

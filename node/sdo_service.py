@@ -14,11 +14,12 @@ import numpy as np
 
 from coulombus.eds.cia301 import Abort
 from coulombus.kernels.decorator import Entry
-from coulombus.node import core, outbox
+from coulombus.node import core
 from coulombus.node.communication_objects import Communication
 from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_access import Access
+from coulombus.node.sdo_kernels import forget_segments, queue_segments
 from coulombus.node.sdo_server import SdoServer, abort_frame
 from coulombus.wire.frame import Queue, data_bytes, data_word, push
 
@@ -80,7 +81,7 @@ class SdoService:
         self._deadlines[which] = FAR_FUTURE_NS
         self._close_segments(which)
         if self._node["outbox_count"]:
-            outbox.forget(self._node, -1 if number is None else number)
+            forget_segments(self._node, -1 if number is None else number)
 
     # requests
 
@@ -105,12 +106,12 @@ class SdoService:
         server.unsent = self._unsent(k)
         response = server.request(data_bytes(data, 8))
         if was_open and row["outbox_count"] and not server.again:
-            outbox.forget(self._node, k)  # any request cancels the queued segments
+            forget_segments(self._node, k)  # any request cancels the queued segments
         if response is not None:
             self._push(out, self._node["station"], t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
         if server.burst:
             words = np.array([data_word(segment) for segment in server.burst], np.int64)
-            if not outbox.put(self._node, t_ns, k, channel.tx, words):
+            if not queue_segments(self._node, t_ns, k, channel.tx, words):
                 self._refuse(channel, t_ns, out)
         if server.transfer is not None:
             self._keep_deadline(channel, t_ns)

@@ -8,15 +8,14 @@ In the kernels: `n` the node's record (`node.record`).
 
 from __future__ import annotations
 
-import math
-
 from coulombus.eds import cia402
+from coulombus.eds.codec import nearest_integer
 from coulombus.kernels.by_address import call_part, part_address
 from coulombus.kernels.decorator import kernel
 from coulombus.node import axis402, homing402, motion402, position402, slots402
 from coulombus.node.record import NODE, NodeRecord
 
-__all__ = ["ACTUATE", "CONTROLWORD", "PROBE", "SAMPLE", "TARGET", "serve", "servo_address", "to_int32"]
+__all__ = ["ACTUATE", "CONTROLWORD", "PROBE", "SAMPLE", "TARGET", "serve", "servo_address"]
 
 CONTROLWORD, TARGET, ACTUATE, SAMPLE, PROBE = range(5)
 """Parts of the function: a new controlword, 607Ah or 60C1h, 60B8h; the torque; the objects of the position and
@@ -68,16 +67,6 @@ def _actuate(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
 
 
 @kernel
-def to_int32(value: float) -> int:
-    """Return the nearest INTEGER32."""
-    if not value > -2147483648.0:
-        return -2147483648
-    if value > 2147483647.0:
-        return 2147483647
-    return math.floor(value + 0.5)
-
-
-@kernel
 def _sample(n: NodeRecord, controls: bool) -> int:
     values = n.values
     position = float(n.in_position_counts)
@@ -85,7 +74,7 @@ def _sample(n: NodeRecord, controls: bool) -> int:
     values[slots402.DIGITAL_INPUTS] = axis402.digital_inputs(n, position)
     demand = n.position_demand if controls else position
     values[slots402.POSITION_DEMAND] = axis402.user_position(n, demand)
-    values[slots402.FOLLOWING_ERROR] = to_int32(demand - position)
+    values[slots402.FOLLOWING_ERROR] = nearest_integer(demand - position, 32)
     if not controls or n.slowing:
         return 0
     return homing402.status_bits(n) if n.mode == _HOMING else position402.status_bits(n)

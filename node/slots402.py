@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from coulombus.eds import cia402
 from coulombus.node.profile import CoreObject, Terminal
 from coulombus.node.slots import COMMON, ERROR_CODE
 
@@ -151,6 +154,20 @@ OBJECTS: tuple[CoreObject, ...] = (
 )
 """Objects that the drive uses."""
 
+SETPOINTS: Mapping[int, CoreObject] = {
+    mode: next(row for row in OBJECTS if row.key == key)
+    for mode, key in (
+        (cia402.OPERATION_MODE_PROFILE_POSITION, (0x607A, 0)),
+        (cia402.OPERATION_MODE_PROFILE_VELOCITY, (0x60FF, 0)),
+        (cia402.OPERATION_MODE_PROFILE_TORQUE, (0x6071, 0)),
+        (cia402.OPERATION_MODE_HOMING, (0x6098, 0)),
+        (cia402.OPERATION_MODE_INTERPOLATED_POSITION, (0x60C1, 1)),
+        (cia402.OPERATION_MODE_CSP, (0x607A, 0)),
+        (cia402.OPERATION_MODE_CSV, (0x60FF, 0)),
+        (cia402.OPERATION_MODE_CST, (0x6071, 0)),
+    )
+}
+"""Set-point of each mode; the homing method of mode 6."""
 
 TERMINALS: tuple[Terminal, ...] = (
     Terminal(0x6064, 0, "in_position_counts"),

@@ -17,7 +17,7 @@ from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
 from coulombus.node import slots402
 from coulombus.node.motion402 import POSITION_MODES
-from coulombus.node.profile import Objects
+from coulombus.node.profile import CoreObject, Objects
 from coulombus.node.record import NodeRecord
 
 __all__ = ["LOOKS", "Reason", "StandstillWatch", "why_still"]
@@ -36,22 +36,11 @@ class Reason(NamedTuple):
     text: str
 
 
-class _Setpoint(NamedTuple):
-    target_index: int
-    slot: int
-    offset: int | None
-    acts: int
-
-
-_SPEED = _Setpoint(0x60FF, slots402.TARGET_VELOCITY, None, slots402.ACTS_SPEED)
-_TORQUE = _Setpoint(0x6071, slots402.TARGET_TORQUE, None, slots402.ACTS_TORQUE)
-_SETPOINTS: Mapping[int, _Setpoint] = {
-    cia402.OPERATION_MODE_PROFILE_VELOCITY: _SPEED,
-    cia402.OPERATION_MODE_PROFILE_TORQUE: _TORQUE,
-    cia402.OPERATION_MODE_CSV: _SPEED._replace(offset=slots402.VELOCITY_OFFSET),
-    cia402.OPERATION_MODE_CST: _TORQUE._replace(offset=slots402.TORQUE_OFFSET),
+_OFFSETS: Mapping[int, int] = {
+    cia402.OPERATION_MODE_CSV: slots402.VELOCITY_OFFSET,
+    cia402.OPERATION_MODE_CST: slots402.TORQUE_OFFSET,
 }
-"""Set-points of speed and torque, by mode. A drive in another mode may stand at its target."""
+"""Slot of the offset that is added to a mode's set-point."""
 
 _TORQUE_LIMITS: tuple[tuple[int, int, int], ...] = (
     (0x6072, slots402.MAX_TORQUE, 0),
@@ -89,7 +78,7 @@ def _not_enabled(n: NodeRecord, objects: Objects) -> Iterator[Reason]:
         yield Reason("nmt", f"NMT is {name}, in which no PDO acts: send NMT start")
     if word & _ENABLING == _ENABLING and not n["in_supply_ok"]:
         yield Reason("voltage", "no high-level power (6041h, bit 4)")
-    if any(int(values[row.slot]) for row in (_SPEED, _TORQUE)):
+    if values[slots402.TARGET_VELOCITY] or values[slots402.TARGET_TORQUE]:
         name = state.name.replace("_", " ")
         yield Reason("state", f"it is in {name}, and 6040h is {word:04X}h: write 6, 7 and 15")
 
@@ -106,10 +95,12 @@ def _enabled(n: NodeRecord, objects: Objects, holding_pm: float) -> Iterator[Rea
         yield Reason("mode", f"6061h is 0, no mode: write 6060h (6502h offers {names or 'none'})")
     if int(n["controlword"]) & _HALT:
         yield Reason("halt", "bit 8 of 6040h, halt, is set")
-    setpoint = _SETPOINTS.get(mode)
+    setpoint = slots402.SETPOINTS.get(mode)
+    if setpoint is not None and not setpoint.acts & (slots402.ACTS_SPEED | slots402.ACTS_TORQUE):
+        setpoint = None  # the drive may stand at its target
     target = 0
     if setpoint is not None:
-        target = int(values[setpoint.slot]) + (0 if setpoint.offset is None else int(values[setpoint.offset]))
+        target = int(values[setpoint.slot]) + (int(values[_OFFSETS[mode]]) if mode in _OFFSETS else 0)
     for index, slot, direction in _TORQUE_LIMITS:
         if int(values[slot]) == 0 and target * direction >= 0 and (target or not direction):
             yield Reason("torque_limit", f"{index:04X}h limits the torque to 0: write it (1000 is the rated torque)")
@@ -124,10 +115,10 @@ def _enabled(n: NodeRecord, objects: Objects, holding_pm: float) -> Iterator[Rea
         yield Reason("load", f"{torque} does not turn the load: {blocked}")
 
 
-def _no_setpoint(n: NodeRecord, setpoint: _Setpoint, target: int) -> Iterator[Reason]:
+def _no_setpoint(n: NodeRecord, setpoint: CoreObject, target: int) -> Iterator[Reason]:
     if int(n["rpdo_pending"]):
         yield _waits_for_sync()
-    name = f"{setpoint.target_index:04X}h"
+    name = f"{setpoint.index:04X}h"
     if target == 0:
         rows = range(int(n["rpdo_used"]))
         mapped = any(n["rpdo"][k]["cob_id"] >= 0 and int(n["rpdo_carries"][k]) & setpoint.acts for k in rows)

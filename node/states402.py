@@ -27,6 +27,7 @@ from coulombus.eds import cia402
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
+from coulombus.eds.codec import nearest_integer
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import emcy, homing402, motion402, servo402, slots, slots402
 from coulombus.node.motion402 import MODES
@@ -321,9 +322,9 @@ def sample(n: NodeRecord) -> None:
     values[slots402.POSITION] = values[slots402.POSITION_DEMAND] = position
     values[slots402.INTERNAL_POSITION] = position
     position_bits = servo402.serve(n, servo402.SAMPLE, 0, 0) if n.servo else 0
-    values[slots402.VELOCITY] = servo402.to_int32(motion402.velocity(n))
+    values[slots402.VELOCITY] = nearest_integer(motion402.velocity(n), 32)
     values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
-    values[slots402.TORQUE_ACTUAL] = min(max(servo402.to_int32(n.in_torque_pm), -32768), 32767)
+    values[slots402.TORQUE_ACTUAL] = nearest_integer(n.in_torque_pm, 16)
     values[slots402.CURRENT_ACTUAL] = values[slots402.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
     word = STATUSWORD_OF_STATE[n.power_state]
     if n.in_supply_ok:

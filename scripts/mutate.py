@@ -173,10 +173,11 @@ TARGETS = {
         ("test_brake404_edges", "test_node_behaviour"),
         (
             *("start", "_torque", "_begin_ramp", "cut", "new_setpoint", "connection_lost", "host_lost", "actuate"),
-            *("_to_int16", "_input", "_odd_input", "sample", "next_deadline"),
+            *("_input", "_odd_input", "sample", "next_deadline"),
             *("_actuate", "_apply", "_connection_lost", "_react"),
         ),
     ),
+    "eds/codec.py": Target(("test_nearest_integer",), ("nearest_integer",)),
     "node/io401.py": Target(
         ("test_io401",),
         ("_within", "_allowed", "_sample", "_actuate", "_fail", "_apply", "_connection_lost", "_react"),

@@ -13,8 +13,7 @@ from coulombus.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from coulombus.analysis.figures.frequency import write_frequency_figures
-    from coulombus.analysis.figures.law import draw_law
-    from coulombus.analysis.figures.literature import write_literature_figures
+    from coulombus.analysis.figures.law import draw_law, write_literature_figures
     from coulombus.analysis.figures.rig import write_identification
     from coulombus.analysis.figures.time import write_fig10, write_orbit_figure
     from coulombus.analysis.rig.display_errors import felt_study
@@ -28,11 +27,10 @@ if TYPE_CHECKING:
     from coulombus.analysis.theory.brake_lag import BrakeLag, ripple_limit
     from coulombus.analysis.theory.crossings import crossings
     from coulombus.analysis.theory.delay import delay_table
-    from coulombus.analysis.theory.describing import LawParameters, coulomb_psi, karnopp_psi
+    from coulombus.analysis.theory.describing import LawParameters, coulomb_psi, jenkins_psi, karnopp_psi, stribeck_psi
     from coulombus.analysis.theory.fig10 import figure_10
     from coulombus.analysis.theory.law_benchmarks import benchmarks as law_benchmarks
     from coulombus.analysis.theory.law_benchmarks import describing_function
-    from coulombus.analysis.theory.law_describing import jenkins_psi, stribeck_psi
     from coulombus.analysis.theory.linear import frequency_response, passive_disk
     from coulombus.analysis.theory.operators import Operator, ParameterError
     from coulombus.analysis.theory.orbits import orbits
@@ -110,7 +108,7 @@ _PLACES = {
     "friction_study": "coulombus.analysis.rig.friction_study",
     "hold_study": "coulombus.analysis.rig.hold",
     "hulin_stiffness": "coulombus.analysis.theory.z_width",
-    "jenkins_psi": "coulombus.analysis.theory.law_describing",
+    "jenkins_psi": "coulombus.analysis.theory.describing",
     "karnopp_psi": "coulombus.analysis.theory.describing",
     "l1_bound": "coulombus.analysis.theory.peak",
     "largest_stiffness_damped": "coulombus.analysis.theory.stuck_spring",
@@ -123,12 +121,12 @@ _PLACES = {
     "settle": "coulombus.analysis.theory.relay_loop",
     "spectral_radius": "coulombus.analysis.theory.stuck_spring",
     "stretches_of": "coulombus.analysis.rig.law_fit",
-    "stribeck_psi": "coulombus.analysis.theory.law_describing",
+    "stribeck_psi": "coulombus.analysis.theory.describing",
     "stuck_spring": "coulombus.analysis.theory.stuck_spring",
     "write_fig10": "coulombus.analysis.figures.time",
     "write_frequency_figures": "coulombus.analysis.figures.frequency",
     "write_identification": "coulombus.analysis.figures.rig",
-    "write_literature_figures": "coulombus.analysis.figures.literature",
+    "write_literature_figures": "coulombus.analysis.figures.law",
     "write_orbit_figure": "coulombus.analysis.figures.time",
     "z_width": "coulombus.analysis.theory.z_width",
 }

@@ -214,7 +214,7 @@ def laws_command(
             step("curves of the literature")
             curves = published_curves.literature_curves()
         if figures is not None:
-            from coulombus.analysis.figures.literature import write_literature_figures
+            from coulombus.analysis.figures.law import write_literature_figures
 
             print_figures(write_literature_figures(figures, curves))
         with verdict(0 if all(result.ok for result in results) else 1):

@@ -21,6 +21,7 @@ import click
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.option_types import UNCHECKED_PATH
 from coulombus.cli.options import BusOption, JsonOption, SharedMachineOption, argument, option, with_options, words
+from coulombus.cli.page_options import tornado_needed
 from coulombus.cli.rig_options import check_shared_machine
 from coulombus.cli.tables import echo
 from coulombus.system.exit import say, verdict
@@ -171,11 +172,12 @@ def _people(session: SubjectSession, answering: Answering) -> Iterator[People]:
         observer = Observer(answering.observer, study.file.seed, session.folder.number, judged)
         yield People.simulated(observer.answer)
     elif answering.page:
-        from coulombus.lab.study.page import AnswerPage
+        with tornado_needed():
+            from coulombus.lab.study.page import AnswerPage
 
         with AnswerPage(study.file.question, session.stop, answering.port or 0) as asking:
             say(f"coulombus: the page: {asking.url}")
-            yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
+            yield People(asking.show, asking.ask, asking.go_on, time.monotonic)
             asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
             time.sleep(LAST_S)
     else:

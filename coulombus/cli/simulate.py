@@ -127,7 +127,7 @@ def simulate_command(
     with errors():
         from coulombus.host.run.run import Outputs
         from coulombus.lab.simulate import virtual_run
-        from coulombus.sim_bus.faults.lines import injected_lines
+        from coulombus.sim_bus.faults.fault_file import injected_lines
 
         run = options.run(Outputs(record=files.record, truth=files.truth, force=files.overwrite))
         with progress(not as_json) as report:

@@ -29,7 +29,7 @@ from coulombus.rigs.kinematics.mechanism_records import MechanismFunction
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.rig.arm_plant import new_plane_plant
 from coulombus.sim_bus.rig.plane_plant import advance_plane, tip_force
-from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
+from coulombus.sim_bus.rig.records import PlanePlantRecord
 
 __all__ = ["COLUMNS", "PlaneCourse", "PlaneRun", "circle", "simulate_plane"]
 

@@ -19,12 +19,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self, TypeAlias
 
 __all__ = [
     "SIGNALS",
     "TIMER",
+    "InterruptsHeld",
     "Signals",
     "StopSignals",
     "Stopped",
@@ -279,3 +280,42 @@ class StopSignals(_First):
     def wait(self, seconds: float) -> bool:
         """Sleep for `seconds`, or until a signal; tell whether a signal has come."""
         return bool(select.select([self._reading], [], [], max(0.0, seconds))[0])
+
+
+class InterruptsHeld:
+    """While entered, a signal is only recorded; `pass_on`, and the end, pass it to its earlier handler.
+
+    For a compiled kernel that takes a friction law: at its entry numba runs Python code
+    (`numba.experimental.function_type`) without checking for an exception. With a pending exception it
+    continues, and a wrong TypeError or a crash of the interpreter follows. Does nothing outside the main
+    thread.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[int, Any] = {}
+        self._noted: tuple[int, FrameType | None] | None = None
+
+    def __enter__(self) -> InterruptsHeld:
+        if threading.current_thread() is threading.main_thread():
+            for number in (*SIGNALS, *TIMER):
+                before = signal.getsignal(number)
+                if callable(before):
+                    self._before[number] = before
+                    signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+        self.pass_on()
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._noted = number, frame
+
+    def pass_on(self) -> None:
+        """Pass a recorded signal to its earlier handler; KeyboardInterrupt comes from Python's own."""
+        if self._noted is not None:
+            (number, frame), self._noted = self._noted, None
+            self._before[number](number, frame)

@@ -18,8 +18,7 @@ from coulombus.eds.reader import Variable
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.running_host import FILTERS, check_alone
 from coulombus.host.errors import AnswerUntrusted, HostError
-from coulombus.host.sdo.bus_answers import BusAnswers
-from coulombus.host.sdo.sdo_client import run_transfers
+from coulombus.host.sdo.sdo_client import BusAnswers, run_transfers
 from coulombus.host.sdo.transfers import SdoSilent, Transfer, upload
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
@@ -59,7 +58,7 @@ class Answers:
     ----------
     state : its NMT state; None without a heartbeat
     answers_sdo : whether the node answers SDO; else only its heartbeat or boot-up was heard
-    twice : two devices have this node id (`host.sdo.bus_answers`)
+    twice : two devices have this node id (`host.sdo.sdo_client`)
     doubt : reason why its type and identity are not reliable, or ""
     """
 

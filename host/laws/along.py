@@ -154,9 +154,9 @@ def drive(
 
 
 def _driven(name: str, pointer: LawFunction, inputs: Records, samples: RecordArray[Sample]) -> Driven:
-    wrong = _drive(inputs[0], pointer, samples)
-    if wrong >= 0:
-        sample = samples[wrong]
+    failed = _drive(inputs[0], pointer, samples)
+    if failed >= 0:
+        sample = samples[failed]
         raise LawError(
             f"law {name!r} returned {sample['torque_Nm']:g} Nm and {sample['brake_Nm']:g} Nm for the brake at "
             f"t_s={sample['t_s']:g}, x_rad={sample['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"

@@ -20,7 +20,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar, get_args
 
@@ -35,9 +35,11 @@ __all__ = [
     "LAW",
     "LAW_STATE",
     "MOTION",
+    "ON_AXIS",
     "Declaration",
     "Field",
     "LawFunction",
+    "LawKind",
     "LawRecord",
     "LawStateRecord",
     "MotionRecord",
@@ -177,6 +179,31 @@ def _places(names: Iterable[tuple[str, int]]) -> dict[str, tuple[int, int]]:
 
 
 @dataclass(frozen=True)
+class LawKind:
+    """A signature of laws: on one axis, or in the plane (`host.laws.plane.plane_law`).
+
+    Attributes
+    ----------
+    motion, law, state : the records of a law's input, its parameters and its state, without a law's own names
+    returns : number of values that a law returns
+    place, decorator, page : text for errors: where such a law acts, how it is declared, where it is described
+    built_in : the built-in laws of this kind by their names; their tables may stand beside another law's
+    """
+
+    motion: np.dtype[Any]
+    law: np.dtype[Any]
+    state: np.dtype[Any]
+    returns: int
+    place: str
+    decorator: str
+    page: str
+    built_in: dict[str, Declaration] = field(default_factory=dict, compare=False)
+
+
+ON_AXIS = LawKind(MOTION, LAW, LAW_STATE, 1, "one axis", "friction_law", "docs/laws.md")
+
+
+@dataclass(frozen=True)
 class Declaration:
     """A law: its function, its named parameters, and its state.
 
@@ -188,12 +215,8 @@ class Declaration:
     extremes : the parameters that set its peak output [Nm]; none if the peak depends on the motion
     uses_mode_keys : whether the parameters are keys of [mode.*] and [law], as for karnopp and coulomb
     pushes : whether the motor displays ``state.motor_Nm`` in mode hybrid
+    kind : its signature
     """
-
-    BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (LAW, LAW_STATE)
-    """The records of parameters and of state, without a law's own names."""
-    BUILT_IN: ClassVar[dict[str, Declaration]] = {}
-    """Built-in laws of a kind other than one axis, by their names: their tables may stand beside this law's."""
 
     function: Callable[..., Any]
     parameters: type[Parameters]
@@ -201,16 +224,19 @@ class Declaration:
     extremes: tuple[str, ...] = ()
     uses_mode_keys: bool = False
     pushes: bool = False
+    kind: LawKind = ON_AXIS
 
     def __post_init__(self) -> None:
-        names, kept = self.names, sum(size for _, size in self.state)
-        law, kept_by_all = self.BASES
-        clashes = {*(law.names or ()), *(kept_by_all.names or ())} & {*names, *(name for name, _ in self.state)}
-        if not self.uses_mode_keys and (len(names) > USER or kept > USER or clashes):
+        names, size = self.names, sum(length for _, length in self.state)
+        clashes = {*(self.kind.law.names or ()), *(self.kind.state.names or ())} & {
+            *names,
+            *(name for name, _ in self.state),
+        }
+        if not self.uses_mode_keys and (len(names) > USER or size > USER or clashes):
             what = (
                 f"{', '.join(sorted(clashes))}: taken"
                 if clashes
-                else f"{len(names)} parameters and {kept} numbers kept"
+                else f"{len(names)} parameters and {size} numbers kept"
             )
             raise ValueError(f"law {self.name}: {what}; expected names of its own, at most {USER} numbers of each kind")
 
@@ -226,13 +252,14 @@ class Declaration:
 
     @property
     def law_dtype(self) -> np.dtype[Any]:
-        """`LAW` with the parameters' names."""
-        return LAW if self.uses_mode_keys else _view(self.BASES[0], ((name, 1) for name in self.names))
+        """The parameters' record with their names."""
+        law = self.kind.law
+        return law if self.uses_mode_keys else _view(law, ((name, 1) for name in self.names))
 
     @property
     def state_dtype(self) -> np.dtype[Any]:
-        """`LAW_STATE` with the names of the state variables."""
-        return _view(self.BASES[1], self.state) if self.state else self.BASES[1]
+        """The state's record with the names of the state variables."""
+        return _view(self.kind.state, self.state) if self.state else self.kind.state
 
     @property
     def title(self) -> str:
@@ -297,12 +324,12 @@ def friction_law(
         more than 16 numbers, or a name that the records already have
     """
     if isinstance(state, type):
-        kept = tuple(state_fields(state, LAW_STATE))
+        variables = tuple(state_fields(state, LAW_STATE))
     else:
-        kept = tuple((field, 1) if isinstance(field, str) else field for field in state)
+        variables = tuple((name, 1) if isinstance(name, str) else name for name in state)
 
     def declare(function: F) -> F:
-        function.declaration = Declaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
+        function.declaration = Declaration(function, parameters, variables, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
         return function
 
     return declare

@@ -50,10 +50,10 @@ def law_source(rig: Rig) -> LawSource | None:
     """Return the source of the rig's law, without running it; None if it cannot be read."""
     name = rig.law_function
     place = name.rpartition(":")[0]
-    own = builtin_laws(rig).get(name)
-    if own is not None:
+    law = builtin_laws(rig).get(name)
+    if law is not None:
         text = inspect.getsource(
-            own.function if own.uses_mode_keys else inspect.getmodule(own.function) or own.function
+            law.function if law.uses_mode_keys else inspect.getmodule(law.function) or law.function
         )
         return LawSource(name, text.encode())
     try:

@@ -43,8 +43,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
@@ -58,11 +56,10 @@ from coulombus.host.laws.law import (
     LAW,
     LAW_STATE,
     MOTION,
+    ON_AXIS,
     Declaration,
     LawFunction,
-    LawRecord,
-    LawStateRecord,
-    MotionRecord,
+    LawKind,
     declaration_of,
 )
 from coulombus.host.laws.leuven import leuven
@@ -85,14 +82,11 @@ __all__ = [
     "MOTION",
     "LawError",
     "LoadedLaw",
-    "bounds_checked",
     "coulomb",
     "find_law",
     "karnopp",
-    "law_function",
     "load_declared",
     "load_law",
-    "why_not",
 ]
 
 OLD_PLACE = "host.laws"
@@ -117,17 +111,17 @@ LAWS = (
 )
 """The laws with named parameters, each in a file of this folder."""
 
-BUILTIN_LAWS: Mapping[str, Declaration] = MappingProxyType(
-    {law.name: law for law in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS)))}
-)
+ON_AXIS.built_in.update((law.name, law) for law in (KARNOPP, COULOMB, *filter(None, map(declaration_of, LAWS))))
+BUILTIN_LAWS: Mapping[str, Declaration] = MappingProxyType(ON_AXIS.built_in)
 """The built-in laws by their names. Only these run from a recording without `--law`."""
 
 
 @lru_cache(64)
-def _signature(declared: Declaration | None = None) -> Any:
-    """Return the signature of a law; with a declaration, its names are in the records."""
-    named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
-    return numba.float64(*map(numba.from_dtype, (MOTION, *named)))
+def _signature(kind: LawKind, declared: Declaration | None = None) -> Any:
+    """Return the signature of a law of this kind; with a declaration, its names are in the records."""
+    named = (kind.law, kind.state) if declared is None else (declared.law_dtype, declared.state_dtype)
+    returned = numba.float64 if kind.returns == 1 else numba.types.UniTuple(numba.float64, kind.returns)
+    return returned(*map(numba.from_dtype, (kind.motion, *named)))
 
 
 class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
@@ -136,16 +130,20 @@ class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy foll
     A record is passed as a pointer, so its names do not matter.
     """
 
+    def __init__(self, compiled: Any, kind: LawKind) -> None:
+        self._kind = kind
+        super().__init__(compiled)
+
     def signature(self) -> Any:
-        """Return the common signature of all laws."""
-        return _signature()
+        """Return the common signature of all laws of this kind."""
+        return _signature(self._kind)
 
 
 _CHECKING = threading.Lock()
 
 
 @contextmanager
-def bounds_checked() -> Iterator[None]:
+def _bounds_checked() -> Iterator[None]:
     """Compile with bounds checks inside this context, also functions with a decorator of their own."""
     with _CHECKING:
         before = numba.config.BOUNDSCHECK
@@ -156,40 +154,58 @@ def bounds_checked() -> Iterator[None]:
             numba.config.BOUNDSCHECK = before
 
 
-def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
-    """Compile `function` with the signature of a law; return a function pointer for kernels.
+def compile_law(function: Callable[..., Any], cache: bool = False, kind: LawKind = ON_AXIS) -> Any:
+    """Compile `function` with the signature of a law of `kind`; return a function pointer for kernels.
 
     A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only built-in laws
     are cached, because the cache would not notice a change in a module that a law imports. They are
     compiled without these checks, which they do not need.
     """
+    declared = declaration_of(function)
+    if JIT_DISABLED:
+        return _guarded(function if declared is None else declared.plain(), kind)
+    signature = _signature(kind, declared)
+    options = {"nogil": True, "error_model": "numpy"}
+    if cache:
+        dispatcher = numba.njit(cache=cacheable(function), **options)(function)
+        dispatcher.compile(signature.args)
+    else:
+        with _bounds_checked():
+            inner = numba.njit(**options)(function)
+            inner.compile(signature.args)
+            _check_returned(inner.nopython_signatures[0].return_type, kind)
+            dispatcher = numba.njit(signature, **options)(_guarded(inner, kind))
+    return _Pointer(dispatcher.overloads[dispatcher.signatures[0]], kind)
 
-    def guarded(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+
+def _guarded(inner: Any, kind: LawKind) -> Any:
+    """Return a law that returns NaN where `inner` raises."""
+
+    def on_axis(motion: Any, law: Any, state: Any) -> float:
         try:
             psi_Nm: float = inner(motion, law, state)
             return psi_Nm
         except Exception:
             return math.nan
 
-    declared = declaration_of(function)
-    if JIT_DISABLED:
-        inner = function if declared is None else declared.plain()
-        return guarded
-    signature = _signature(declared)
-    options = {"nogil": True, "error_model": "numpy"}
-    if cache:
-        dispatcher = numba.njit(cache=cacheable(function), **options)(function)
-        dispatcher.compile(signature.args)
-    else:
-        with bounds_checked():
-            inner = numba.njit(**options)(function)
-            inner.compile(signature.args)
-            returned = inner.nopython_signatures[0].return_type
-            if not isinstance(returned, numba.types.Float | numba.types.Integer | numba.types.Boolean):
-                kind = str(returned).partition("(")[0]
-                raise TypeError(f"a law returns a number, psi [Nm], on every path; what this one returns is {kind}")
-            dispatcher = numba.njit(signature, **options)(guarded)
-    return _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
+    def in_plane(motion: Any, law: Any, state: Any) -> tuple[float, float]:
+        try:
+            fx, fy = inner(motion, law, state)
+            return float(fx), float(fy)
+        except Exception:
+            return math.nan, math.nan
+
+    return on_axis if kind.returns == 1 else in_plane
+
+
+def _check_returned(returned: Any, kind: LawKind) -> None:
+    """Refuse a law whose compiled function returns a value of another type."""
+    if kind.returns == 1:
+        if not isinstance(returned, numba.types.Float | numba.types.Integer | numba.types.Boolean):
+            name = str(returned).partition("(")[0]
+            raise TypeError(f"a law returns a number, psi [Nm], on every path; what this one returns is {name}")
+    elif not (isinstance(returned, numba.types.BaseTuple) and len(returned) == kind.returns):
+        raise TypeError(f"a law in the plane returns two numbers, psi [N], on every path, not {returned}")
 
 
 def _line(function: Any, line: int | None = None) -> str:
@@ -198,15 +214,15 @@ def _line(function: Any, line: int | None = None) -> str:
     return f"{code.co_filename}:{line or code.co_firstlineno}"
 
 
-def _unknown_field(function: Any, name: str, motion: np.dtype[Any]) -> str | None:
+def _unknown_field(function: Any, name: str, kind: LawKind) -> str | None:
     """Return the place at which a law uses a field that its records lack; None if it is not found."""
     try:
         tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
     except (OSError, ValueError, SyntaxError):
         return None
     declared = declaration_of(function)
-    named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
-    arguments = dict(zip(inspect.signature(function).parameters, (motion, *named), strict=False))
+    named = (kind.law, kind.state) if declared is None else (declared.law_dtype, declared.state_dtype)
+    arguments = dict(zip(inspect.signature(function).parameters, (kind.motion, *named), strict=False))
     uses = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == name]
     if not uses:
         return None
@@ -220,14 +236,14 @@ def _unknown_field(function: Any, name: str, motion: np.dtype[Any]) -> str | Non
     return f"{_line(function, use.lineno)}: {record} has no field '{name}'{has}{hint}"
 
 
-def why_not(function: Any, error: Exception, motion: np.dtype[Any] = MOTION) -> str:
+def _why_not(function: Any, error: Exception, kind: LawKind) -> str:
     """Return the reason why `function` does not compile: the user's ``file:line``, and a sentence."""
     if (
         isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
     ):  # numba: no such field in a record
-        reason = _unknown_field(function, error.args[0], motion)
-        if reason:
-            return reason
+        unknown = _unknown_field(function, error.args[0], kind)
+        if unknown:
+            return unknown
     text = COLOURS.sub("", str(error))
     lines = [line.strip() for line in text.splitlines()]
     first = next((i for i, line in enumerate(lines) if line and "pipeline" not in line), 0)
@@ -239,22 +255,22 @@ def why_not(function: Any, error: Exception, motion: np.dtype[Any] = MOTION) -> 
             break
         if line:
             sentence.append(line.removeprefix(">>> "))
-    said = " ".join(sentence).partition(" Raised from ")[0].rstrip(".") or type(error).__name__
-    if "<class 'function'>" in said:
-        said += " (a function that a law calls needs numba.njit's decorator)"
+    reason = " ".join(sentence).partition(" Raised from ")[0].rstrip(".") or type(error).__name__
+    if "<class 'function'>" in reason:
+        reason += " (a function that a law calls needs numba.njit's decorator)"
     place = getattr(error, "loc", None)
     if place is not None and place.filename == function.__code__.co_filename:
-        return f"{_line(function, place.line)}: {said}"
-    return f"{place.filename}:{place.line}: {said}" if place is not None else f"{_line(function)}: {said}"
+        return f"{_line(function, place.line)}: {reason}"
+    return f"{place.filename}:{place.line}: {reason}" if place is not None else f"{_line(function)}: {reason}"
 
 
 def _import_error(error: Exception, place: str) -> str:
     """Return the text of an error in a law's file: its type, its message, and the file's line."""
     if isinstance(error, SyntaxError):
         return str(error)  # its text has file and line
-    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
-    return f"{said} ({place}, line {own[-1].lineno})" if own else said
+    reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
+    return f"{reason} ({place}, line {frames[-1].lineno})" if frames else reason
 
 
 def find_law(place: str, directory: Path | None) -> Path:
@@ -269,7 +285,7 @@ def find_law(place: str, directory: Path | None) -> Path:
 class LoadedLaw(NamedTuple):
     """A compiled law with its declaration."""
 
-    pointer: LawFunction
+    pointer: Callable[..., Any]
     """The compiled function for kernels."""
     declaration: Declaration | None
     """Its named parameters; None for a law without any."""
@@ -287,37 +303,39 @@ def load_law(name: str, directory: Path | None = None) -> LawFunction:
     return load_declared(name, directory).pointer
 
 
-def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
-    """Return the compiled law called `name`, as `load_law` does, with its declaration."""
+def load_declared(name: str, directory: Path | None = None, kind: LawKind = ON_AXIS) -> LoadedLaw:
+    """Return the compiled law of `kind` called `name`, as `load_law` does, with its declaration."""
     place, _, attribute = name.rpartition(":")
-    alike = difflib.get_close_matches(attribute, BUILTIN_LAWS, 1)
+    alike = difflib.get_close_matches(attribute, kind.built_in, 1)
     if place == OLD_PLACE and alike:
         raise LawError(f"law {name!r} is an old name; the law is called {alike[0]!r} now")
-    if not place and attribute in BUILTIN_LAWS:
-        declared: Declaration | None = BUILTIN_LAWS[attribute]
-        return LoadedLaw(_own(attribute), declared)
+    if not place and attribute in kind.built_in:
+        declared: Declaration | None = kind.built_in[attribute]
+        return LoadedLaw(_built_in(kind.built_in[attribute]), declared)
     if name.endswith(".py"):
         raise LawError(f"law {name!r}: name the function: {name}:NAME")
     if not place or not attribute:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
-        names = ", ".join(map(repr, BUILTIN_LAWS))
+        names = ", ".join(map(repr, kind.built_in))
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
     own_law = place in (__name__, EXERCISES)
-    plain = law_function(name, place, attribute, directory, own_law=own_law)
-    declared = next((law for law in BUILTIN_LAWS.values() if law.function is plain), declaration_of(plain))
-    return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
+    plain = _plain_function(name, place, attribute, directory, own_law=own_law)
+    declared = next((law for law in kind.built_in.values() if law.function is plain), declaration_of(plain))
+    if declared is not None and declared.kind is not kind:
+        raise LawError(f"law {name!r} is declared for {declared.kind.place}; expected the decorator {kind.decorator}")
+    return LoadedLaw(_compiled(name, plain, kind, own_law=own_law), declared)
 
 
 @cache
-def _own(name: str) -> LawFunction:
-    """Return one of `BUILTIN_LAWS`, compiled; it has no state of its own, so a process loads it once."""
-    return _compiled(name, BUILTIN_LAWS[name].function, own_law=True)
+def _built_in(law: Declaration) -> LawFunction:
+    """Return a built-in law, compiled; it has no state of its own, so a process loads it once."""
+    return _compiled(law.name, law.function, law.kind, own_law=True)
 
 
-def law_function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
+def _plain_function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
     """Return the plain Python function of the law `name`."""
     checked = (
-        nullcontext() if own_law or JIT_DISABLED else bounds_checked()
+        nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
     )  # a decorator with a signature compiles at once
     try:
         if place.endswith(".py"):
@@ -341,14 +359,16 @@ def law_function(name: str, place: str, attribute: str, directory: Path | None, 
             text = "there is no module of that name; expected FILE.py:FUNCTION or MODULE:FUNCTION"
             raise LawError(f"law {name!r}: {place} cannot be imported: {text}") from error
         raise LawError(f"law {name!r}: {place} cannot be imported: {_import_error(error, place)}") from error
-    own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
-    function = own.get(attribute, getattr(module, attribute, None))
+    functions = {
+        n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__
+    }
+    function = functions.get(attribute, getattr(module, attribute, None))
     if not callable(function):
-        known = [n for n, f in own.items() if not n.startswith("_") and not isinstance(f, type)]
-        near = difflib.get_close_matches(attribute, known, 1)
+        public = [n for n, f in functions.items() if not n.startswith("_") and not isinstance(f, type)]
+        near = difflib.get_close_matches(attribute, public, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise LawError(
-            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(known) or 'none'}{hint}"
+            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(public) or 'none'}{hint}"
         )
     plain = getattr(function, "py_func", function)
     try:
@@ -357,18 +377,18 @@ def law_function(name: str, place: str, attribute: str, directory: Path | None, 
         accepts = []
     if len(accepts) != 3 or not hasattr(plain, "__code__"):
         where = f"{_line(plain)}: " if hasattr(plain, "__code__") else ""
-        given = ", ".join(map(str, accepts))
+        arguments = ", ".join(map(str, accepts))
         raise LawError(
-            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
+            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({arguments})"
         )
     return plain
 
 
-def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
+def _compiled(name: str, plain: Any, kind: LawKind, *, own_law: bool) -> LawFunction:
     try:
-        law: LawFunction = compile_law(plain, cache=own_law)
+        law: LawFunction = compile_law(plain, own_law, kind)
         return law
     except Exception as error:  # numba raises many kinds
         if isinstance(error, (CoulombusError, MemoryError)):
             raise
-        raise LawError(f"law {name!r} does not compile: {why_not(plain, error)}; see docs/laws.md") from error
+        raise LawError(f"law {name!r} does not compile: {_why_not(plain, error, kind)}; see {kind.page}") from error

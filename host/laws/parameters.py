@@ -58,15 +58,14 @@ def law_parameters(
     coulombus.rigs.rig.RigError
         the text names every error
     """
-    declared = {name: builtin for name, builtin in BUILTIN_LAWS.items() if not builtin.uses_mode_keys}
+    built_in = BUILTIN_LAWS if law is None else {**law.kind.built_in, **BUILTIN_LAWS}
+    declared = {name: builtin for name, builtin in built_in.items() if not builtin.uses_mode_keys}
     if law is not None and (not law.uses_mode_keys or law is not BUILTIN_LAWS.get(law.name)):
         declared[law.name] = law
-    if law is not None:
-        declared = {**law.BUILT_IN, **declared}
-    known: dict[str, dict[str, Any]] = {}
+    relevant: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         if name in declared:
-            known[name] = dict(table)
+            relevant[name] = dict(table)
         elif name in BUILTIN_LAWS:
             source.say(
                 ("law", name, *list(table)[:1]),
@@ -75,8 +74,8 @@ def law_parameters(
         elif hint := nearest(name, declared):
             source.say(("law", name, *list(table)[:1]), f"there is no law '{name}'{hint}")
     if law is not None and law.name in declared:
-        known.setdefault(law.name, {})
-    values = _validated(known, declared, source)
+        relevant.setdefault(law.name, {})
+    values = _validated(relevant, declared, source)
     source.raise_all()
     return values
 
@@ -107,16 +106,16 @@ def set_parameters(law: Declaration, overrides: Sequence[str]) -> Parameters:
 
 
 def _validated(
-    known: Mapping[str, Mapping[str, Any]], declared: Mapping[str, Declaration], source: Source
+    relevant: Mapping[str, Mapping[str, Any]], declared: Mapping[str, Declaration], source: Source
 ) -> dict[str, Parameters]:
     """Return the parameters by the laws' names; errors are added to `source`."""
-    schema = _schema(tuple((name, declared[name]) for name in known))
+    schema = _schema(tuple((name, declared[name]) for name in relevant))
     try:
-        model = schema.model_validate({"law": known})
+        model = schema.model_validate({"law": relevant})
     except ValidationError as error:
-        explain(error, {"law": known}, schema, source)
+        explain(error, {"law": relevant}, schema, source)
         return {}
-    values: dict[str, Parameters] = {name: getattr(model.law, name) for name in known}  # type: ignore[attr-defined]
+    values: dict[str, Parameters] = {name: getattr(model.law, name) for name in relevant}  # type: ignore[attr-defined]
     for name, section in values.items():
         _hold_together(name, section, source)
     return values

@@ -1,7 +1,12 @@
-"""SDO client on a link: sequential transfers with one node, or with several nodes in parallel."""
+"""SDO client on a link: sequential transfers with one node, or with several nodes in parallel.
+
+`BusAnswers` detects two devices with the same node id, for bring-up, `sdo`, `scan` and the check of free
+node ids.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Generic, TypeVar
@@ -10,7 +15,6 @@ from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.sdo_answers import SdoAnswers
 from coulombus.eds.sdo_frames import named, where
 from coulombus.host.errors import HostError
-from coulombus.host.sdo.bus_answers import LENGTH, BusAnswers
 from coulombus.host.sdo.transfers import (
     APART,
     MOST_BYTES,
@@ -30,12 +34,44 @@ __all__ = [
     "LATE_S",
     "STORING_S",
     "TIMEOUT_S",
+    "BusAnswers",
     "SdoClient",
     "SdoSession",
     "load_defaults",
     "run_transfers",
     "store_parameters",
 ]
+
+MESSAGE_BYTES = 8
+"""Bytes of an SDO message (CiA 301, section 7.2.4.3)."""
+
+
+class BusAnswers:
+    """Requests of one client to each node, and the responses (`eds.sdo_answers`)."""
+
+    def __init__(self) -> None:
+        self._nodes: defaultdict[int, SdoAnswers] = defaultdict(SdoAnswers)
+
+    def of(self, node_id: int) -> SdoAnswers:
+        """Return the answers of one node."""
+        return self._nodes[node_id]
+
+    def hear(self, frame: BusFrame) -> None:
+        """Handle a frame that no transfer waits for; only SDO responses of requested nodes count."""
+        node_id = frame.can_id - CobId.SDO_TX
+        if node_id in self._nodes and frame.length == MESSAGE_BYTES:
+            self._nodes[node_id].take(frame.data)
+
+    def listen(self, link: FrameLink, until_ns: int) -> None:
+        """Handle all frames until `until_ns`: a second device may answer later."""
+        while (frame := link.receive(until_ns)) is not None:
+            self.hear(frame)
+
+    @property
+    def duplicate_node_ids(self) -> tuple[int, ...]:
+        """The node ids with answers of two devices."""
+        return tuple(node_id for node_id, answers in sorted(self._nodes.items()) if answers.duplicate_node_id)
+
 
 T = TypeVar("T")
 TIMEOUT_S = 1.0
@@ -91,7 +127,7 @@ class SdoSession(Generic[T]):
             reason = f"it answers about {about}"
             self._end(SdoProtocolError(f"{text}, but about {about}: {APART}", Abort.TIMEOUT, reason))
         elif self.odd_length is not None:
-            reason = f"it answers with {self.odd_length} bytes; an SDO message has {LENGTH} (CiA 301)"
+            reason = f"it answers with {self.odd_length} bytes; an SDO message has {MESSAGE_BYTES} (CiA 301)"
             text = f"node {self._node_id}, SDO of {where(*self._place)}: {reason}"
             self._end(SdoProtocolError(text, Abort.TIMEOUT, reason))
         else:
@@ -175,7 +211,7 @@ def run_transfers(
                 talk = talks.get(frame.can_id - CobId.SDO_TX)
                 if talk is None:
                     hear(frame)
-                elif frame.length == LENGTH:
+                elif frame.length == MESSAGE_BYTES:
                     talk.hear(frame.data)
                 else:
                     talk.odd_length = frame.length
@@ -275,7 +311,11 @@ class SdoClient:
         begin_ns = self.link.now_ns()
         while (frame := self.link.receive(begin_ns + round(self._late_s * 1e9))) is not None:
             self._answers.hear(frame)
-            if frame.can_id == CobId.SDO_TX + self.node_id and frame.length == LENGTH and named(frame.data) == place:
+            if (
+                frame.can_id == CobId.SDO_TX + self.node_id
+                and frame.length == MESSAGE_BYTES
+                and named(frame.data) == place
+            ):
                 seconds = timeout_s + (frame.t_ns - begin_ns) / 1e9
                 raise SdoSilent(
                     f"node {self.node_id} answers late: after {seconds:.1f} s (SDO of {where(*place)}), "

@@ -23,8 +23,7 @@ from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, HostError, NodeMissing, SdoAborted
-from coulombus.host.sdo.bus_answers import BusAnswers
-from coulombus.host.sdo.sdo_client import SdoClient
+from coulombus.host.sdo.sdo_client import BusAnswers, SdoClient
 from coulombus.host.sdo.transfers import DuplicateNodeId, SdoProtocolError, SdoRefused, SdoSilent
 from coulombus.host.setup.device_plan import SUPPORTED_MODES, DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.law_demand import check_demand

@@ -36,7 +36,7 @@ RETRY_NS = 100_000_000
 
 
 class Watched(Protocol):
-    """Interface of `node.hardware.watchdog_client.Guard`."""
+    """Interface of `node.hardware.watchdog.Guard`."""
 
     def feed(self) -> None:
         """Report that the node is alive; HardwareError if the watchdog has acted, or is gone."""

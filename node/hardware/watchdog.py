@@ -4,7 +4,7 @@ It is a child of the node's process, in its own session, and ignores the termina
 node writes a byte to its stdin once per period. If no byte comes for `watchdog_s`, or stdin ends
 because the node's process ended (by any means, including SIGKILL), the watchdog writes the safe
 values. Its messages on stdout: ``r`` ready, ``!`` the node stalled and the safe values are
-written.
+written. `Guard` is its client, in the node's process.
 
     python -m coulombus.node.hardware.watchdog WATCHDOG_S ORDERS     (JSON: [[path, text], ...])
 """
@@ -14,18 +14,20 @@ from __future__ import annotations
 import json
 import os
 import select
+import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from coulombus.node.hardware.board import load_class
-from coulombus.node.hardware.channels import HardwareError, put
+from coulombus.node.hardware.channels import HardwareError, SafeWrite, put
 from coulombus.system.stop_signals import ignore
 
-__all__ = ["READY", "TRIPPED", "carry_out", "guard_outputs"]
+__all__ = ["READY", "TRIPPED", "Guard", "carry_out", "guard_outputs"]
 
 READY, TRIPPED = b"r", b"!"
 TRIES = 3
+START_S, END_S = 20.0, 5.0
 
 
 def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
@@ -64,6 +66,70 @@ def guard_outputs(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int,
             timeout_s = None  # until the next feed
             with suppress(OSError):
                 os.write(answers, TRIPPED)
+
+
+class Guard:
+    """A watchdog process that can make the outputs safe.
+
+    Parameters
+    ----------
+    watchdog_s : longest time between two calls of `feed`
+    orders : writes that make the outputs safe
+    claims : descriptors of the outputs' locks, which it keeps until its work is done
+
+    Raises
+    ------
+    HardwareError
+        the process did not start
+    """
+
+    def __init__(self, watchdog_s: float, orders: Sequence[SafeWrite], claims: Collection[int] = ()) -> None:
+        self._watchdog_s = watchdog_s
+        words = [sys.executable, "-m", "coulombus.node.hardware.watchdog", str(watchdog_s), json.dumps(orders)]
+        self._process = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, pass_fds=tuple(claims)
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self.pid = self._process.pid
+        self._feed, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
+        ready, _, _ = select.select([self._answers], [], [], START_S)
+        if not ready or os.read(self._answers, 1) != READY:
+            self.close()
+            raise HardwareError("the watchdog process did not start")
+        os.set_blocking(self._feed, False)
+        os.set_blocking(self._answers, False)
+
+    def feed(self) -> None:
+        """Report to the watchdog that the node is alive.
+
+        Raises
+        ------
+        HardwareError
+            the watchdog is gone, or it has made the outputs safe because the node stalled
+        """
+        try:
+            os.write(self._feed, b".")
+        except BlockingIOError:
+            raise HardwareError("the watchdog process no longer reads") from None
+        except OSError:
+            raise HardwareError("the watchdog process is gone") from None
+        with suppress(BlockingIOError):
+            answer = os.read(self._answers, 64)
+            if TRIPPED in answer:
+                raise HardwareError(f"the node hung for {self._watchdog_s:g} s, and its watchdog acted")
+            if not answer:
+                raise HardwareError("the watchdog process is gone")
+
+    def close(self) -> None:
+        """Let the watchdog make the outputs safe a last time, and wait for its end."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
+        self._process.stdout.close()
 
 
 def _main() -> None:

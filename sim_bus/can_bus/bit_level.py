@@ -28,9 +28,8 @@ from coulombus.sim_bus.can_bus.controller_bits import (
 )
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import noisy_bit
-from coulombus.sim_bus.can_bus.records import BusRecord
+from coulombus.sim_bus.can_bus.records import ALL, NOBODY, BusRecord, is_meant
 from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
-from coulombus.sim_bus.can_bus.targets import ALL, NOBODY, is_meant
 
 __all__ = ["add_sender", "begin_bits", "run_bits"]
 

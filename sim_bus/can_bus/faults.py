@@ -15,9 +15,16 @@ from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import renew
-from coulombus.sim_bus.can_bus.records import MAX_FLIPS, MOST_TOLD, STATION_MASK, BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.records import (
+    MAX_FLIPS,
+    MOST_TOLD,
+    NOBODY,
+    STATION_MASK,
+    BusRecord,
+    FaultRecord,
+    is_meant,
+)
 from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
-from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_order, hold
 from coulombus.wire.bits import data_frame_bits
 

@@ -18,9 +18,8 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_sent,
 )
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, FaultKind, fire, plan_alarm
-from coulombus.sim_bus.can_bus.records import MOST_ROWS, STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, NOBODY, STATION_MASK, BusRecord, is_meant
 from coulombus.sim_bus.can_bus.stations import number, refresh
-from coulombus.sim_bus.can_bus.targets import NOBODY, is_meant
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import Queue

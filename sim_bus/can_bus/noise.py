@@ -6,8 +6,7 @@ import math
 
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.can_bus.bus_state import NS
-from coulombus.sim_bus.can_bus.records import BusRecord
-from coulombus.sim_bus.can_bus.targets import NOBODY
+from coulombus.sim_bus.can_bus.records import NOBODY, BusRecord
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 
 __all__ = ["disturber", "next_noise", "noisy_bit", "renew", "seeded"]

@@ -10,17 +10,22 @@ from typing import Annotated
 
 import numpy as np
 
+from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import IntegerField, Record, RecordArray
 from coulombus.sim_bus.can_bus.bus_state import ErrorKind
 from coulombus.wire.frame import Frame
 
 __all__ = [
+    "ALL",
+    "CLIENTS",
+    "CLIENT_ROWS",
     "FRAME_BITS",
     "MAX_FAULTS",
     "MAX_FLIPS",
     "MAX_SENDERS",
     "MOST_ROWS",
     "MOST_TOLD",
+    "NOBODY",
     "ROOM",
     "STATIONS",
     "STATION_MASK",
@@ -28,6 +33,7 @@ __all__ = [
     "ControllerRecord",
     "FaultRecord",
     "StuckRecord",
+    "is_meant",
 ]
 
 STATIONS = 256
@@ -36,6 +42,13 @@ ROOM = 1024
 """Largest number of pending frames; more are dropped and counted in the queue's record."""
 STATION_MASK = 0xFF
 """Mask of a station's row: the low eight bits of its number; the host's -1 is row 255."""
+ALL = -1000
+"""Station number for all stations; for a disturbance, the wire."""
+CLIENTS = -1001
+"""Station number for every client of a bus in real time."""
+NOBODY = -2000
+CLIENT_ROWS = slice(128, 192)
+_CLIENTS_FROM, _CLIENTS_TO = CLIENT_ROWS.start, CLIENT_ROWS.stop
 MAX_SENDERS = 128
 """Largest number of stations in one arbitration; more wait."""
 FRAME_BITS = 160
@@ -46,6 +59,16 @@ MOST_TOLD = 512
 MAX_FLIPS = 16
 MOST_ROWS = 16
 """Largest number of log rows for the end of a frame."""
+
+
+@inlined
+def is_meant(station: int, row: int) -> bool:
+    """Tell whether a row of the stations is `station`, or a member of that group."""
+    if station == ALL:
+        return True
+    if station == CLIENTS:
+        return _CLIENTS_FROM <= row < _CLIENTS_TO
+    return station != NOBODY and station & 0xFF == row
 
 
 class ControllerRecord(Record):

@@ -22,9 +22,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -35,7 +36,7 @@ from coulombus.sim_bus.faults.error_text import mistakes
 from coulombus.sim_bus.faults.fault_kinds import KINDS, AnyFault, Controller, Strict
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["FaultError", "FaultPlan", "faults_of", "read_faults"]
+__all__ = ["FaultError", "FaultPlan", "faults_of", "injected_lines", "read_faults"]
 
 
 class FaultError(CoulombusError, ValueError):
@@ -150,3 +151,30 @@ def faults_of(text: str, path: str) -> FaultPlan:
         raise FaultError(f"{path}: it has no fault; expected [[fault]] or [[controller]], once for each (docs/bus.md)")
     lines = tuple(document.line(("fault", n)) for n in range(len(file.fault)))
     return FaultPlan(path, text, file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))
+
+
+def injected_lines(
+    faults: Sequence[Mapping[str, Any]] | None, controllers: Mapping[str, Mapping[str, Any]] | None
+) -> Iterator[str]:
+    """Yield a line for each fault of a fault file, and for each CAN controller, including faults that never
+    struck.
+    """
+    for fault in faults or ():
+        bus = f"bus {fault['bus']}, " if "bus" in fault else ""
+        if not fault["times"]:
+            when = "never struck: what it waits for did not come"
+        elif fault["times"] == 1:
+            when = f"once, at {fault['first_s']:.6f} s"
+        else:
+            when = f"{fault['times']} times, from {fault['first_s']:.6f} s to {fault['last_s']:.6f} s"
+        place = "injected" if fault["line"] is None else f"line {fault['line']}"
+        yield f"fault {fault['kind']} ({bus}{place}): {when}"
+    for name, c in (controllers or {}).items():
+        counts = {
+            "errors": sum(c["errors"].values()),
+            "frames sent again": c["retransmissions"],
+            "dropped": c["dropped"],
+        }
+        counts |= {"times error passive": c["passives"], "times bus-off": c["bus_offs"]}
+        rest = "".join(f", {n} {what}" for what, n in counts.items() if n)
+        yield f"controller {name}: {c['state'].upper()} (berr-counter tx {c['tec']} rx {c['rec']}){rest}"

@@ -16,9 +16,8 @@ from coulombus.sim_bus.can_bus.cable_cut import APART, MENDING, SEVERAL, WHOLE, 
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
 from coulombus.sim_bus.can_bus.noise import renew, seeded
-from coulombus.sim_bus.can_bus.records import MAX_FAULTS, STATIONS
+from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS
 from coulombus.sim_bus.can_bus.stations import detach, refresh
-from coulombus.sim_bus.can_bus.targets import CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import AnyFault, Drift, NodeFault, OtherNodeId

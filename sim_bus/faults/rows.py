@@ -9,9 +9,8 @@ from coulombus.rigs.toml_lines import Key
 from coulombus.sim_bus.can_bus.fault_confinement import MANUAL
 from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import seeded
-from coulombus.sim_bus.can_bus.records import STATIONS, BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.records import ALL, CLIENT_ROWS, CLIENTS, STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
-from coulombus.sim_bus.can_bus.targets import ALL, CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import (

@@ -67,11 +67,11 @@ from coulombus.sim_bus.network.event_loop import (
     World,
     run,
 )
-from coulombus.sim_bus.network.interrupts import InterruptsHeld
 from coulombus.sim_bus.network.python_stations import Heard, Station
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
+from coulombus.system.stop_signals import InterruptsHeld
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
     Queue,

@@ -22,7 +22,6 @@ from coulombus.rigs.kinematics.kinematics_rules import SIMULATED
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.rig.plane_hand import drawn_hand
 from coulombus.sim_bus.rig.plane_plant import kinetic_J, step_plane, tip_force
-from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
 from coulombus.sim_bus.rig.plant import (
     TRUTH_COLUMNS,
     coil_target,
@@ -32,7 +31,7 @@ from coulombus.sim_bus.rig.plant import (
     motor_target,
     settled,
 )
-from coulombus.sim_bus.rig.records import PlantRecord
+from coulombus.sim_bus.rig.records import PlanePlantRecord, PlantRecord
 from coulombus.wire.frame import new_records
 
 __all__ = ["PLANE_COLUMNS", "advance_joints", "new_plane_plant"]

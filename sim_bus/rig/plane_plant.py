@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
+from coulombus.sim_bus.rig.records import PlanePlantRecord
 
 __all__ = ["advance_plane", "kinetic_J", "step_plane", "tip_force"]
 

@@ -34,9 +34,8 @@ from coulombus.node.brake404 import BRAKE404
 from coulombus.node.constants import OUTPUTS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
-from coulombus.node.further_axis import on_axis
 from coulombus.node.io401 import ANALOGUE_OUT
-from coulombus.node.kinds import of_description
+from coulombus.node.kinds import of_description, on_axis
 from coulombus.node.motion402 import MODES, POSITION_MODES
 from coulombus.node.profile import CoreObject, Key, Profile
 from coulombus.node.relaxed_eds import Opened, opened

@@ -23,7 +23,7 @@ from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
-from coulombus.node.hardware.watchdog_client import Guard
+from coulombus.node.hardware.watchdog import Guard
 from coulombus.node.kinds import of_description, of_identity
 from coulombus.node.profile import Profile
 from coulombus.node.relaxed_eds import completed, opened

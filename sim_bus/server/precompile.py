@@ -11,8 +11,8 @@ from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED, LssService, LssState
 from coulombus.kernels.decorator import Entry
 from coulombus.kernels.records import RecordArray
-from coulombus.node import outbox
 from coulombus.node.record import NodeRecord
+from coulombus.node.sdo_kernels import forget_segments, queue_segments
 from coulombus.sim_bus.can_bus.cable_cut import divide
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire
 from coulombus.sim_bus.can_bus.noise import next_noise
@@ -57,8 +57,8 @@ def _rare(bus: RecordArray[BusRecord], node: NodeRecord, out: Queue) -> list[Wor
     """Return the kernels for a cut cable, a drifting clock, SDO blocks and faults."""
     return [
         (divide, (bus, out)),
-        (outbox.put, (node, 0, 0, 0, np.zeros(1, np.int64))),
-        (outbox.forget, (node, 0)),
+        (queue_segments, (node, 0, 0, 0, np.zeros(1, np.int64))),
+        (forget_segments, (node, 0)),
         (own_ns, (node, 0)),
         (to_bus, (node, out, 0)),
         (fire, (bus[0], 0, 0, NO_FRAME)),

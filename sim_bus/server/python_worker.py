@@ -10,7 +10,7 @@ records, in its own thread, one job at a time:
 4. Between two events the loop copies these words back, and queues the frames that Python requested.
 
 Python's changes reach the loop completely, and the loop's own changes meanwhile stay: only for a
-word that both changed, Python's value counts. A node's ring of segments (`node.outbox`) is frozen
+word that both changed, Python's value counts. A node's ring of segments (`node.sdo_kernels`) is frozen
 meanwhile, because both change it.
 
 If Python needs the whole world (a script's entry), `drain_jobs` completes the jobs first. A server

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from types import FrameType
 
-from coulombus.sim_bus.faults.lines import injected_lines
+from coulombus.sim_bus.faults.fault_file import injected_lines
 from coulombus.sim_bus.server.fault_socket import fault_sockets
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_result import SimResult

@@ -16,7 +16,7 @@ from coulombus.eds.cia301 import Abort
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import SdoProtocolError, SdoRefused, SdoSilent
-from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.profile import SdoAbort
 from coulombus.node.sdo_server import SdoServer
 from devices_bench import DevicesLink
 

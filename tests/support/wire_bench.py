@@ -9,8 +9,8 @@ from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.faults import plan_alarm
 from coulombus.sim_bus.can_bus.frame_result import end_attempt
+from coulombus.sim_bus.can_bus.records import ALL
 from coulombus.sim_bus.can_bus.stations import attach, refresh
-from coulombus.sim_bus.can_bus.targets import ALL
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
 
 US = 1_000

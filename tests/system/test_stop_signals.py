@@ -12,8 +12,16 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.system.stop_signals import SIGNALS, Signals, Stopped, StopSignals, as_exceptions, status_of, taken
+from coulombus.system.stop_signals import (
+    SIGNALS,
+    InterruptsHeld,
+    Signals,
+    Stopped,
+    StopSignals,
+    as_exceptions,
+    status_of,
+    taken,
+)
 from places import ROOT
 
 OTHERS = SIGNALS[1:]
@@ -24,7 +32,7 @@ def test_signals_are_taken_in_one_place():
     sources = [path for room in rooms for path in room.resolve().rglob("*.py")]
     assert len(sources) > 200
     names = {path.name for path in sources if "signal.signal(" in path.read_text()}
-    assert names == {"stop_signals.py", "interrupts.py"}
+    assert names == {"stop_signals.py"}
     assert {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT} == set(SIGNALS)
 
 

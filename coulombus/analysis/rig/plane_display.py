@@ -16,12 +16,13 @@ from coulombus.analysis.theory.plane_friction import (
     ForceEllipse,
     Levels,
     PassiveDisplay,
+    StuckHands,
     directions,
     force_ellipse,
     largest_friction_N,
     passive_display,
+    stuck_hands,
 )
-from coulombus.analysis.theory.plane_stuck import StuckHands, stuck_hands
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.kinematics_section import Kinematics

@@ -1,6 +1,6 @@
 """The page that asks a subject: one text, its answers as buttons and keys, and Stop at any time.
 
-On the loopback interface alone. All addresses begin with a token that nobody guesses::
+On the loopback interface alone, with the checks of every page (`monitor.web.guard`)::
 
     GET  /TOKEN/                the page
     GET  /TOKEN/state?after=N   what is shown, as soon as it is another than number N
@@ -12,26 +12,31 @@ An answer that comes late, twice, or to another question is refused.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import secrets
 import threading
 from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from types import TracebackType
 from typing import Any, Self
-from urllib.parse import parse_qs, urlsplit
+
+import tornado.httpserver
+import tornado.web
 
 from coulombus.lab.study.trials import Trial, is_answer
-from coulombus.monitor.web import WebError
-from coulombus.monitor.web.access import new_token, right_token, same_origin
+from coulombus.monitor.web.access import new_token
+from coulombus.monitor.web.guard import Handler, Nothing
+from coulombus.monitor.web.server import listening
 
 __all__ = ["AnswerPage"]
 
+HOST = "127.0.0.1"
 HELD_S = 10.0
 """So long a question for news is held before it is answered with none."""
-LOOK_S = 0.2
-BODY_BYTES = 1000
+POLL_S, LOOK_S = 0.05, 0.2
+BODY_BYTES = 4096
+REFUSED = 409
 
 
 class AnswerPage:
@@ -41,29 +46,28 @@ class AnswerPage:
     ----------
     question : of the study
     stop : called when the subject stops, from another thread
+
+    Raises
+    ------
+    coulombus.monitor.web.WebError
+        the port is not available
     """
 
     def __init__(self, question: str, stop: Callable[[], None], port: int = 0) -> None:
         self._question, self._stop = question, stop
         self._news = threading.Condition()
-        self._state: dict[str, Any] = {"n": 0, "kind": "wait", "text": "The study begins soon."}
+        self.shown: dict[str, Any] = {"n": 0, "kind": "wait", "text": "The study begins soon."}
         self._answer: str | None = None
         self._valid: Callable[[str], bool] = lambda text: False
-        self.stopped = False
-        self.token = new_token()
-        try:
-            self._server = _Server(("127.0.0.1", port), _Handler)
-        except (OSError, OverflowError) as error:
-            raise WebError(
-                f"port {port} of 127.0.0.1: {error}; choose another with --port, or 0 for a free one"
-            ) from None
-        self._server.page = self
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="page", daemon=True)
+        self.stopped = self.ended = False
+        self.token, self.name = new_token(), HOST
+        self._sockets = listening(HOST, port, "--port")
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="page", daemon=True)
 
     @property
     def url(self) -> str:
         """Where the page is."""
-        return f"http://127.0.0.1:{self._server.server_port}/{self.token}/"
+        return f"http://{HOST}:{self._sockets[0].getsockname()[1]}/{self.token}/"
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -72,13 +76,31 @@ class AnswerPage:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._server.shutdown()
+        self.ended = True
         self._thread.join()
-        self._server.server_close()
+        for listener in self._sockets:
+            listener.close()
+
+    async def _serve(self) -> None:
+        shared = {"page": self}
+        routes = [(r"/([^/]*)/", _Html), (r"/([^/]*)/state", _State), (r"/([^/]*)/answer", _Answer)]
+        server = tornado.httpserver.HTTPServer(
+            tornado.web.Application(
+                [(place, handler, shared) for place, handler in (*routes, (r"/([^/]*)/stop", _Stop))],
+                default_handler_class=Nothing,
+                default_handler_args=shared,
+            ),
+            max_body_size=BODY_BYTES,
+        )
+        server.add_sockets(self._sockets)
+        while not self.ended:
+            await asyncio.sleep(POLL_S)
+        server.stop()
+        await server.close_all_connections()
 
     # the session's thread
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """Show a text that wants no answer."""
         self._put("wait", text)
 
@@ -89,7 +111,7 @@ class AnswerPage:
 
     def go_on(self, text: str) -> bool:
         """Show a text and wait; False: the subject stops."""
-        return self._answer_to("go_on", text, lambda given: given == "y") is not None
+        return self._answer_to("go_on", text, lambda answer: answer == "y") is not None
 
     def over(self, text: str) -> None:
         """Show the last text."""
@@ -97,9 +119,8 @@ class AnswerPage:
 
     def _put(self, kind: str, text: str, valid: Callable[[str], bool] = lambda text: False) -> None:
         with self._news:
-            self._state = {"n": self._state["n"] + 1, "kind": kind, "text": text}
+            self.shown = {"n": self.shown["n"] + 1, "kind": kind, "text": text}
             self._valid, self._answer = valid, None
-            self._news.notify_all()
 
     def _answer_to(self, kind: str, text: str, valid: Callable[[str], bool]) -> str | None:
         self._put(kind, text, valid)
@@ -108,18 +129,12 @@ class AnswerPage:
                 self._news.wait(LOOK_S)  # a signal is taken in between
             return None if self.stopped else self._answer
 
-    # the page's threads
+    # the page's thread
 
-    def state(self, after: int) -> dict[str, Any]:
-        """Return what is shown, once it is another than `after`, or a while has gone by."""
+    def accept(self, number: int, answer: str) -> bool:
+        """Accept an answer to the question of this number; return whether it is valid."""
         with self._news:
-            self._news.wait_for(lambda: self._state["n"] != after, HELD_S)
-            return self._state
-
-    def take(self, number: int, answer: str) -> bool:
-        """Take an answer to the question of this number; tell whether it is one."""
-        with self._news:
-            if number != self._state["n"] or self._answer is not None or not self._valid(answer):
+            if number != self.shown["n"] or self._answer is not None or not self._valid(answer):
                 return False
             self._answer = answer
             self._news.notify_all()
@@ -133,82 +148,44 @@ class AnswerPage:
         self._stop()
 
 
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
+class _Html(Handler):
+    async def get(self, _: str) -> None:
+        nonce = secrets.token_urlsafe(16)
+        policy = f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; "
+        policy += "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+        self.set_header("Content-Security-Policy", policy)
+        text = files("coulombus.lab.study").joinpath("page.html").read_text(encoding="utf-8")
+        self.finish(text.replace("NONCE", nonce))
+
+
+class _State(Handler):
     page: AnswerPage
 
+    async def get(self, _: str) -> None:
+        after, loop = self.get_query_argument("after", "-1"), asyncio.get_running_loop()
+        until_s = loop.time() + HELD_S
+        while str(self.page.shown["n"]) == after and not self.page.ended and loop.time() < until_s:
+            await asyncio.sleep(POLL_S)
+        self.finish(self.page.shown)
 
-class _Handler(BaseHTTPRequestHandler):
-    server: _Server
-    timeout = 30
-    server_version, sys_version = "coulombus", ""
 
-    def log_message(self, format: str, *args: Any) -> None:
-        """Tell nothing."""
+class _Answer(Handler):
+    page: AnswerPage
 
-    def _place(self) -> str | None:
-        token, _, place = urlsplit(self.path).path.lstrip("/").partition("/")
-        if not right_token(token, self.server.page.token):
-            self._send(403, "text/plain", b"403: the address of the page is printed at the terminal\n")
-            return None
-        return place
-
-    def do_GET(self) -> None:
-        """Answer with the page, or with what is shown."""
-        place = self._place()
-        if place == "":
-            nonce = secrets.token_urlsafe(16)
-            text = files("coulombus.lab.study").joinpath("page.html").read_text(encoding="utf-8")
-            policy = f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; "
-            policy += "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-            self._send(200, "text/html; charset=utf-8", text.replace("NONCE", nonce).encode(), policy)
-        elif place == "state":
-            after = parse_qs(urlsplit(self.path).query).get("after", ["-1"])[0]
-            number = int(after) if after.isascii() and after.isdecimal() and len(after) < 10 else -1
-            self._send(200, "application/json", json.dumps(self.server.page.state(number)).encode())
-        elif place is not None:
-            self._send(404, "text/plain", b"404\n")
-
-    def do_POST(self) -> None:
-        """Take an answer, or the subject's stop."""
-        place = self._place()
-        if place is None:
-            return
-        if not same_origin(self.headers.get("Origin"), self.headers.get("Host")):
-            self._send(403, "text/plain", b"403: not from the page itself\n")
-        elif place == "stop":
-            self.server.page.stop()
-            self._send(200, "text/plain", b"stopped\n")
-        elif place == "answer":
-            accepted = self._take()
-            self._send(
-                200 if accepted else 409, "text/plain", b"taken\n" if accepted else b"409: no answer to what is asked\n"
-            )
-        else:
-            self._send(404, "text/plain", b"404\n")
-
-    def _take(self) -> bool:
-        length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdecimal() and len(length) < 5 and int(length) <= BODY_BYTES):
-            return False
+    async def post(self, _: str) -> None:
         try:
-            given = json.loads(self.rfile.read(int(length)))
-        except (ValueError, RecursionError):
-            return False
-        if not isinstance(given, dict):
-            return False
-        number, answer = given.get("n"), given.get("answer")
-        return type(number) is int and isinstance(answer, str) and self.server.page.take(number, answer)
+            message = json.loads(self.request.body)
+            number, answer = message["n"], message["answer"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            raise tornado.web.HTTPError(REFUSED) from None
+        if type(number) is not int or not isinstance(answer, str) or not self.page.accept(number, answer):
+            raise tornado.web.HTTPError(REFUSED)
+        self.finish("taken\n")
 
-    def _send(self, status: int, kind: str, body: bytes, policy: str = "default-src 'none'") -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Content-Security-Policy", policy)
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(body)
-        self.close_connection = True
+
+class _Stop(Handler):
+    page: AnswerPage
+
+    async def post(self, _: str) -> None:
+        self.page.stop()
+        self.finish("stopped\n")

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from coulombus.lab.study import methods
-from coulombus.lab.study.orders import williams
 from coulombus.lab.study.study import Condition, Constant, Free, Quest, Staircase, Study
 
-__all__ = ["LAPSE", "Trial", "Trials", "is_answer"]
+__all__ = ["LAPSE", "Trial", "Trials", "is_answer", "williams"]
 
 LAPSE = 0.01
 """Share of answers that are drawn at random, as QUEST+ believes it."""
@@ -153,3 +152,12 @@ class Trials:
         else:
             self._methods[self._place].take(now.level, now.larger_named(answer))
         self._now = None
+
+
+def williams(count: int) -> list[list[int]]:
+    """Return the rows of a Williams design [Williams 1949]: in each row every condition once, over all rows
+    each in every place as often, and behind each other one as often. An odd `count` takes twice as many rows.
+    """
+    first = [0] + [(k + 1) // 2 if k % 2 else count - k // 2 for k in range(1, count)]
+    rows = [[(place + shift) % count for place in first] for shift in range(count)]
+    return rows if count % 2 == 0 else rows + [row[::-1] for row in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Protocol
@@ -26,6 +27,10 @@ REFUSALS = {
     FORBIDDEN: "the address needs the page's token: open the URL that the command printed",
     MISDIRECTED: "this page is not served under that name and port: open the URL that the command printed",
 }
+
+_LOG = logging.getLogger("tornado")  # clients could flood the terminal, and it prints the token
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
 
 
 class GuardedPage(Protocol):

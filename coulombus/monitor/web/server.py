@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import logging
 import os
 import socket
 import threading
@@ -69,8 +68,8 @@ class Server(tornado.httpserver.HTTPServer):
         super().handle_stream(stream, address)
 
 
-def listening(host: str, port: int) -> list[socket.socket]:
-    """Return the listening sockets; port 0: a free port.
+def listening(host: str, port: int, option: str = "--web-port") -> list[socket.socket]:
+    """Return the listening sockets; port 0: a free port. `option` names the port on the command line.
 
     Raises
     ------
@@ -82,10 +81,10 @@ def listening(host: str, port: int) -> list[socket.socket]:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise WebError(
-                f"port {port} of {host} is in use: choose another with --web-port, or 0 for a free one"
+                f"port {port} of {host} is in use: choose another with {option}, or 0 for a free one"
             ) from None
         if error.errno == errno.EACCES:
-            raise WebError(f"port {port} may not be taken: choose one of 1024 or more with --web-port") from None
+            raise WebError(f"port {port} may not be taken: choose one of 1024 or more with {option}") from None
         raise WebError(
             f"the page cannot be served at {host}: {error.strerror or error}; --web-host names an address of this machine"
         ) from None
@@ -140,9 +139,6 @@ def serve(
     coulombus.wire.address.BusUnavailable
         there is no bus, or it closed meanwhile
     """
-    tornado_log = logging.getLogger("tornado")  # clients could flood the terminal, and it prints the token
-    tornado_log.addHandler(logging.NullHandler())
-    tornado_log.propagate = False
     sockets = listening(host, port)
     name = named(host)
     url = f"http://{name}:{sockets[0].getsockname()[1]}/{shown.token}/"

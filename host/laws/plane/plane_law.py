@@ -21,18 +21,15 @@ The hand feels :math:`-\psi`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
+from typing import Annotated, TypeAlias, TypeVar
 
-import numpy as np
-
-from coulombus.host.laws.law import USER, Declaration, Field, Parameters, declaration_of, state_fields
+from coulombus.host.laws.law import USER, Declaration, Field, LawKind, Parameters, declaration_of, state_fields
 from coulombus.kernels.records import FloatField, Record, dtype_of
 
 __all__ = [
-    "PLANE_MOTION",
+    "IN_PLANE",
     "Field",
     "Parameters",
-    "PlaneDeclaration",
     "PlaneLawFunction",
     "PlaneLawRecord",
     "PlaneMotionRecord",
@@ -67,17 +64,19 @@ class PlaneStateRecord(Record):
     user: Annotated[FloatField, USER]  # a law's own state variables
 
 
-PLANE_MOTION = dtype_of(PlaneMotionRecord)
-
 PlaneLawFunction: TypeAlias = Callable[[PlaneMotionRecord, PlaneLawRecord, PlaneStateRecord], tuple[float, float]]
 """A compiled law in the plane (`host.laws.plane.plane_laws`), which returns the friction force psi [N]."""
 
 
-class PlaneDeclaration(Declaration):
-    """A law in the plane: its function, its named parameters, and its state."""
-
-    BASES: ClassVar[tuple[np.dtype[Any], np.dtype[Any]]] = (dtype_of(PlaneLawRecord), dtype_of(PlaneStateRecord))
-    BUILT_IN: ClassVar[dict[str, Declaration]] = {}
+IN_PLANE = LawKind(
+    dtype_of(PlaneMotionRecord),
+    dtype_of(PlaneLawRecord),
+    dtype_of(PlaneStateRecord),
+    2,
+    "the plane",
+    "plane_law",
+    "docs/plane.md",
+)
 
 
 F = TypeVar("F", bound=Callable[..., tuple[float, float]])
@@ -105,10 +104,12 @@ def plane_law(
     ValueError
         more than 16 numbers, or a name that the records already have
     """
-    kept = () if state is None else tuple(state_fields(state, dtype_of(PlaneStateRecord)))
+    variables = () if state is None else tuple(state_fields(state, IN_PLANE.state))
 
     def declare(function: F) -> F:
-        function.declaration = PlaneDeclaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
+        function.declaration = Declaration(  # type: ignore[attr-defined]
+            function, parameters, variables, tuple(extremes), pushes=pushes, kind=IN_PLANE
+        )
         return function
 
     return declare

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.laws.law import Declaration, Parameters, declaration_of
-from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, bounds_checked, law_function, why_not
+from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
 from coulombus.host.laws.plane.plane_coulomb import plane_coulomb
 from coulombus.host.laws.plane.plane_dahl import plane_dahl
 from coulombus.host.laws.plane.plane_karnopp import plane_karnopp
 from coulombus.host.laws.plane.plane_law import (
-    PLANE_MOTION,
-    PlaneDeclaration,
+    IN_PLANE,
     PlaneLawFunction,
     PlaneLawRecord,
     PlaneMotionRecord,
@@ -31,89 +28,26 @@ from coulombus.host.laws.plane.plane_line import plane_line
 from coulombus.host.laws.plane.plane_lugre import plane_lugre
 from coulombus.host.laws.plane.plane_viscous import plane_viscous
 from coulombus.host.laws.plane.plane_wall import plane_wall
-from coulombus.kernels.decorator import JIT_DISABLED, cacheable, kernel
+from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import RecordArray, new_records
 from coulombus.rigs.rig import Rig
-from coulombus.system.errors import CoulombusError
 
-import numba  # isort: skip  (after kernels.decorator, which names the cache directory)
-import numba.experimental.function_type  # isort: skip  (defines the type of a compiled law)
+__all__ = ["PLANE_LAWS", "PlaneLaw", "builtin_laws", "load_plane_law"]
 
-__all__ = ["PLANE_LAWS", "PlaneLaw", "builtin_laws", "compile_plane_law", "load_plane_law"]
-
-PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(
-    {
-        law.name: law
-        for law in map(
-            declaration_of,
-            (plane_coulomb, plane_karnopp, plane_viscous, plane_wall, plane_line, plane_lugre, plane_dahl),
-        )
-        if law is not None
-    }
+IN_PLANE.built_in.update(
+    (law.name, law)
+    for law in map(
+        declaration_of, (plane_coulomb, plane_karnopp, plane_viscous, plane_wall, plane_line, plane_lugre, plane_dahl)
+    )
+    if law is not None
 )
+PLANE_LAWS: Mapping[str, Declaration] = MappingProxyType(IN_PLANE.built_in)
 """The built-in laws in the plane by their names."""
-PlaneDeclaration.BUILT_IN.update(PLANE_LAWS)
 
 
 def builtin_laws(rig: Rig) -> Mapping[str, Declaration]:
     """Return the built-in laws for a rig by their names: laws of one axis, or laws in the plane."""
     return BUILTIN_LAWS if rig.kinematics is None else PLANE_LAWS
-
-
-@lru_cache(64)
-def _signature(declared: Declaration | None = None) -> Any:
-    """Return the signature of a law in the plane; with a declaration, its names are in the records."""
-    named = PlaneDeclaration.BASES if declared is None else (declared.law_dtype, declared.state_dtype)
-    return numba.types.UniTuple(numba.float64, 2)(*map(numba.from_dtype, (PLANE_MOTION, *named)))
-
-
-class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
-    """A compiled law as a function pointer with the common signature."""
-
-    def signature(self) -> Any:
-        """Return the common signature of all laws in the plane."""
-        return _signature()
-
-
-def compile_plane_law(function: Callable[..., Any], cache: bool = False) -> PlaneLawFunction:
-    """Compile `function` with the signature of a law in the plane, as `host.laws.laws.compile_law` does for
-    one axis.
-
-    With `cache`, for built-in laws, the result is cached; else indices are checked. A law that raises
-    returns NaN.
-    """
-
-    def guarded(motion: PlaneMotionRecord, law: PlaneLawRecord, state: PlaneStateRecord) -> tuple[float, float]:
-        try:
-            fx, fy = inner(motion, law, state)
-            return float(fx), float(fy)
-        except Exception:
-            return math.nan, math.nan
-
-    declared = declaration_of(function)
-    inner: Any
-    if JIT_DISABLED:
-        inner = function if declared is None else declared.plain()
-        return guarded
-    signature, options = _signature(declared), {"nogil": True, "error_model": "numpy"}
-    if cache:
-        dispatcher = numba.njit(cache=cacheable(function), **options)(function)
-        dispatcher.compile(signature.args)
-    else:
-        with bounds_checked():
-            inner = numba.njit(**options)(function)
-            inner.compile(signature.args)
-            returned = inner.nopython_signatures[0].return_type
-            if not (isinstance(returned, numba.types.BaseTuple) and len(returned) == 2):
-                raise TypeError(f"a law in the plane returns two numbers, psi [N], on every path, not {returned}")
-            dispatcher = numba.njit(signature, **options)(guarded)
-    pointer: PlaneLawFunction = _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
-    return pointer
-
-
-@cache
-def _own(name: str) -> PlaneLawFunction:
-    return compile_plane_law(PLANE_LAWS[name].function, cache=True)
 
 
 @kernel
@@ -191,10 +125,10 @@ class PlaneLaw:
             velocities = np.ascontiguousarray(v_m_s, np.float64)
         forces = np.zeros_like(places)
         motion, state = new_records(PlaneMotionRecord), new_records(PlaneStateRecord)
-        wrong = _drive(self.function, motion[0], self.record()[0], state[0], times, places, velocities, forces)
-        if wrong >= 0:
+        failed = _drive(self.function, motion[0], self.record()[0], state[0], times, places, velocities, forces)
+        if failed >= 0:
             raise LawError(
-                f"law {self.name!r} returned {forces[wrong].tolist()} N at t_s={times[wrong]:g}; "
+                f"law {self.name!r} returned {forces[failed].tolist()} N at t_s={times[failed]:g}; "
                 "expected two finite numbers"
             )
         return forces
@@ -215,24 +149,7 @@ def load_plane_law(name: str, overrides: Sequence[str] = (), directory: Path | N
     coulombus.rigs.rig.RigError
         the law does not have a parameter, or its value is refused
     """
-    if name in PLANE_LAWS:
-        declared: Declaration | None = PLANE_LAWS[name]
-        function = _own(name)
-    else:
-        place, _, attribute = name.rpartition(":")
-        if not place or not attribute:
-            raise LawError(f"law {name!r}: expected {', '.join(PLANE_LAWS)}, 'file.py:function' or 'module:function'")
-        plain = law_function(name, place, attribute, directory, own_law=False)
-        declared = declaration_of(plain)
-        if declared is not None and not isinstance(declared, PlaneDeclaration):
-            raise LawError(f"law {name!r} is declared for one axis; expected the decorator plane_law")
-        try:
-            function = compile_plane_law(plain)
-        except Exception as error:  # numba raises many kinds
-            if isinstance(error, (CoulombusError, MemoryError)):
-                raise
-            reason = why_not(plain, error, PLANE_MOTION)
-            raise LawError(f"law {name!r} does not compile: {reason}; see docs/plane.md") from error
+    function, declared = load_declared(name, directory, IN_PLANE)
     if declared is None:
         if overrides:
             raise LawError(f"--set {overrides[0]}: the law {name} names no parameters; declare them with plane_law")

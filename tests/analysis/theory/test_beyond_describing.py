@@ -20,9 +20,9 @@ from coulombus.analysis.theory.operators import Operator
 from coulombus.analysis.theory.orbits import orbits, pattern_of
 from coulombus.analysis.theory.parameters import ParameterError, Parameters
 from coulombus.analysis.theory.peak import between_samples, l1_bound, l1_norm
-from coulombus.analysis.theory.proof import cosine_polynomial, positive, rational
 from coulombus.analysis.theory.stuck_spring import largest_stiffness, spectral_radius, stuck_spring
 from coulombus.analysis.theory.three_valued import ZEROS, three_valued_orbits
+from coulombus.analysis.theory.zames_falb import cosine_polynomial, positive, rational
 
 PAPER = Parameters()
 M, B, K, C, T = 1.387, 29.83, 178.0, 10.0, 1e-3

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from coulombus.analysis.figures.literature import write_literature_figures
+from coulombus.analysis.figures.law import write_literature_figures
 from coulombus.analysis.theory import law_benchmarks, published_curves
 from coulombus.analysis.theory.describing import LawParameters, regularised_psi
 from coulombus.analysis.theory.law_benchmarks import (

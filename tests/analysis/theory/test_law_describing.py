@@ -7,8 +7,8 @@ import math
 import pytest
 from scipy.integrate import quad
 
+from coulombus.analysis.theory.describing import LARGE, arctan_psi, jenkins_psi, stribeck_psi
 from coulombus.analysis.theory.law_benchmarks import describing_function
-from coulombus.analysis.theory.law_describing import LARGE, arctan_psi, jenkins_psi, stribeck_psi
 from coulombus.host.laws.along import given_law
 
 

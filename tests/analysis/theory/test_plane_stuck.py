@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coulombus.analysis.theory.plane_stuck import OVER, stuck_hands, wall_coefficients
+from coulombus.analysis.theory.plane_friction import OVER, stuck_hands, wall_coefficients
 
 LINKS = st.floats(0.1, 0.5)
 ELBOWS = st.floats(math.radians(20), math.radians(160)) | st.floats(math.radians(-160), math.radians(-20))

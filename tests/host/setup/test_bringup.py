@@ -17,7 +17,7 @@ from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
-from coulombus.host.sdo.bus_answers import BusAnswers
+from coulombus.host.sdo.sdo_client import BusAnswers
 from coulombus.host.sdo.transfers import SdoRefused
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import bring_up, plans_of

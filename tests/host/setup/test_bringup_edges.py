@@ -13,7 +13,7 @@ from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
-from coulombus.host.sdo.bus_answers import BusAnswers
+from coulombus.host.sdo.sdo_client import BusAnswers
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import (
     bring_up,

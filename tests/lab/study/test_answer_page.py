@@ -28,10 +28,11 @@ def page(stops):
         yield one
 
 
-def call(page, method, place, body=None, origin="own", token=None):
+def call(page, method, place, body=None, origin="own", token=None, host=None):
     port = urlsplit(page.url).port
     line = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
     headers = {} if origin is None else {"Origin": f"http://127.0.0.1:{port}" if origin == "own" else origin}
+    headers |= {} if host is None else {"Host": host}
     try:
         line.request(method, f"/{token or page.token}/{place}", body, headers)
         answer = line.getresponse()
@@ -97,8 +98,9 @@ def test_who_has_no_token_or_is_another_site_is_sent_away(page, stops):
     assert call(page, "GET", "", token="x")[0] == 403
     for origin in (None, "http://evil.example", "null"):
         assert call(page, "POST", "stop", origin=origin)[0] == 403
-    assert call(page, "POST", "other")[0] == 404
-    assert call(page, "GET", "../../etc/passwd")[0] == 404
+    assert call(page, "POST", "other")[0] == 403
+    assert call(page, "GET", "../../etc/passwd")[0] == 403
+    assert call(page, "GET", "", host="evil.example")[0] == 421
     assert stops == []
 
 

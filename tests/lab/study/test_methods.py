@@ -8,7 +8,7 @@ import pytest
 from scipy.special import ndtr
 
 from coulombus.lab.study.methods import Fixed, Mirrored, Quest, Staircase, mirrored, target
-from coulombus.lab.study.orders import williams
+from coulombus.lab.study.trials import williams
 
 
 @pytest.mark.parametrize("count", range(1, 8))

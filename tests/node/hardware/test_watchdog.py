@@ -13,13 +13,12 @@ import sys
 import pytest
 
 from coulombus.node.hardware.channels import HardwareError, SafeWrite
-from coulombus.node.hardware.watchdog import READY, carry_out, guard_outputs
-from coulombus.node.hardware.watchdog_client import Guard
+from coulombus.node.hardware.watchdog import READY, Guard, carry_out, guard_outputs
 
 NODE = """
 import json, os, sys
 from coulombus.node.hardware.channels import Claim, SafeWrite
-from coulombus.node.hardware.watchdog_client import Guard
+from coulombus.node.hardware.watchdog import Guard
 claim = Claim(sys.argv[1])
 guard = Guard(float(sys.argv[2]), [SafeWrite(sys.argv[1], "10\\n")], [claim.descriptor])
 guard.feed()

@@ -16,9 +16,9 @@ from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.fault_confinement import CanState, state_of
 from coulombus.sim_bus.can_bus.faults import FaultKind
 from coulombus.sim_bus.can_bus.noise import seeded
+from coulombus.sim_bus.can_bus.records import CLIENTS
 from coulombus.sim_bus.can_bus.stations import attach, restart
 from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
-from coulombus.sim_bus.can_bus.targets import CLIENTS
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, arbitration_key, data_word
 from wire_bench import WireBench, carried, told

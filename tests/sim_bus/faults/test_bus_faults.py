@@ -19,8 +19,7 @@ from coulombus.host.errors import NodeMissing
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.faults.fault_file import FaultError, read_faults
-from coulombus.sim_bus.faults.lines import injected_lines
+from coulombus.sim_bus.faults.fault_file import FaultError, injected_lines, read_faults
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress

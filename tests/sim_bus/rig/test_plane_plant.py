@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from coulombus.kernels.records import new_records
 from coulombus.sim_bus.rig.plane_plant import advance_plane, kinetic_J, tip_force
-from coulombus.sim_bus.rig.plane_records import PlanePlantRecord
+from coulombus.sim_bus.rig.records import PlanePlantRecord
 
 L1, L2 = 0.22, 0.18
 
