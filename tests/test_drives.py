@@ -14,6 +14,7 @@ drives = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(drives)
 
 
+@pytest.mark.thorough
 @beside(CORPUS)
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 @pytest.mark.parametrize("role", ["drive", "brake"])

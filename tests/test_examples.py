@@ -55,6 +55,7 @@ def test_fault_script(run):
     assert 0.0 < float(out.split("0 after ")[1].split(" s")[0]) <= 1.91
 
 
+@pytest.mark.thorough
 def test_release_of_a_hand(run, tmp_path):
     out = run("release.py")
     at_once, released = (float(part.split(" rad/s")[0]) for part in out.split(": ")[1:3])
@@ -89,6 +90,7 @@ def test_virtual_network(run):
     assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.patient
 def test_project_for_ci(tmp_path, private_sockets, short_path):
@@ -120,6 +122,7 @@ def test_on_the_elastic_rig_hybrid_holds_still_with_damping_alone():
     assert damped.hold_counts_p2p == 0
 
 
+@pytest.mark.thorough
 def test_servo_motions(run, tmp_path):
     out = run("servo_motions.py", str(ROOT / "eds" / "servo.eds"))
     differences = [float(line.rpartition(" ")[2]) for line in out.splitlines()]

@@ -53,6 +53,7 @@ def call(*words, status=0):
     return result
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("interface", ADAPTERS)
 def test_every_verb_of_services_and_of_listening_takes_an_adapter(interface, tmp_path):
     with node(interface) as (text, device):
@@ -141,6 +142,7 @@ def test_what_is_refused_says_why(words, status, said):
     assert said in " ".join(call(*words.split(), status=status).output.split())
 
 
+@pytest.mark.thorough
 def test_on_a_system_that_is_no_linux_they_work_over_an_adapter(tmp_path):
     with node("socketcand") as (text, _):
         lines = (

@@ -20,6 +20,7 @@ def test_the_document_has_the_whole_afternoon():
     assert verbs == wanted.split()
 
 
+@pytest.mark.thorough
 def test_the_afternoon_as_it_is_printed(tmp_path):
     with Afternoon(tmp_path, f"coulombus:lab-{os.getpid()}") as day:
         day.perform()

@@ -34,6 +34,7 @@ def whole():
     return json.loads(run("--json"))
 
 
+@pytest.mark.thorough
 def test_contract_of_the_frequency_domain(whole):
     (crossing,) = whole["crossings"]
     assert crossing["frequency_Hz"] == pytest.approx(252.3, abs=0.05)
@@ -122,6 +123,7 @@ def test_loci_hold_what_is_drawn():
     assert data.disks.frequency_Hz[-1] == 500.0
 
 
+@pytest.mark.thorough
 def test_figures_are_deterministic(tmp_path: Path):
     parameters = Parameters()
     found, absolute, runs, motions = (

@@ -264,6 +264,7 @@ def test_a_verb_does_not_load_the_library_of_python_cans_mf4_reader(tmp_path):
     assert done.stdout == "whoever asks gets it\n", done.stderr
 
 
+@pytest.mark.thorough
 def test_a_verb_reads_an_mf4_log(tmp_path):
     """The library was left out for good: decode said that it is not installed."""
     pytest.importorskip("asammdf")

@@ -122,6 +122,7 @@ def test_a_rig_of_several_axes_needs_the_name_of_one(call, tmp_path):
     assert "one axis, without a name" in call("--rig my.toml --virtual --yes --axis left", 3).stderr
 
 
+@pytest.mark.thorough
 def test_what_is_found_of_an_axis_is_written_below_it_and_leaves_the_other(call, tmp_path):
     text = packaged_rig("two_axes").read_text()
     (tmp_path / "two.toml").write_text(text)

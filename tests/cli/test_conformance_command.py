@@ -141,6 +141,7 @@ def test_the_seed_chooses_the_objects():
     assert chosen(1) == chosen(1) != chosen(2)
 
 
+@pytest.mark.thorough
 def test_a_run_leaves_the_device_as_it_was():
     unit = new_unit("motor")
     before = {key: unit.link.device[key] for key in _numbers(unit)}

@@ -193,6 +193,7 @@ def test_bit_rates_are_for_socketcan(desk):
     assert call("scan", *BUS, "--bitrates").exit_code == 2
 
 
+@pytest.mark.thorough
 def test_lss_lists_and_numbers_devices(desk):
     for serial in (5, 6):
         desk.add(eds("motor", vendor=0x77, serial=serial), UNCONFIGURED)

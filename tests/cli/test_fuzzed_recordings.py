@@ -112,6 +112,7 @@ def some_text(noise, log):
     return "\n".join(lines).encode()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("mutilated", [some_bytes, some_blocks, an_attachment, some_text])
 def test_a_mutilated_recording_is_read_or_refused(whole, log, mutilated, seed, tmp_path):

@@ -99,6 +99,7 @@ def test_a_picture_names_the_law_and_its_parameters():
     assert made._suptitle.get_text() == "law dahl\nF_c_Nm = 1, sigma_Nm_rad = 150, alpha = 1"
 
 
+@pytest.mark.thorough
 def test_a_picture_is_drawn_and_no_file_replaced(tmp_path):
     picture = tmp_path / "loop.svg"
     words = ("lugre", "--motion", "sine", "--seconds", "0.1", "--plot", picture)

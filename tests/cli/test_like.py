@@ -114,6 +114,7 @@ def test_a_true_rig_that_differs_from_the_hosts_is_kept(tmp_path):
     assert recorded_run(paths[1]).simulated == run.simulated != rig
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("named", ["mine.py:mine", "mine.py", "there/mine.py:mine", "moved.py:mine"])
 def test_a_laws_file_is_named_again(tmp_path, monkeypatch, named):
     monkeypatch.chdir(tmp_path)

@@ -94,6 +94,7 @@ def test_the_picture_is_drawn_and_not_replaced(tmp_path):
     assert analyse("--rig", "plane", "--grid", "2", "--picture", path).exit_code == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_circle_is_drawn_in_each_mode():
     result = analyse("--rig", "plane", "--grid", "2", "--circle", "1", "--friction", "2.5", "--json")

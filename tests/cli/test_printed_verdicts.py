@@ -128,6 +128,7 @@ def test_a_reader_that_has_gone_changes_no_status(call, name, stdout):
     assert call(words, stdout)[0] == status
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["simulate", "eds ok", "decode", "law list"])
 def test_python_itself_may_start_without_a_stdout(call, name):
     words, status = ENDS[name]

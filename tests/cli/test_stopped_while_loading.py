@@ -89,12 +89,14 @@ def test_ctrl_c_is_one_line_at_any_import(words, module):
     assert ended(words, module) == (130, "coulombus: interrupted\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", SIGNALS[1:])
 @pytest.mark.parametrize("module", ["click", "coulombus.rigs.rig"])
 def test_the_other_signals_are_told_by_their_names(module, number):
     assert ended(("check",), module, number) == (128 + number, f"coulombus: ended by {number.name}\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("act", ["lost()", "other()", "half()"])
 @pytest.mark.parametrize("module", ["coulombus.cli.main", "coulombus.rigs.rig"])
 def test_an_exception_that_is_lost_or_becomes_another_one_is_the_signal_all_the_same(module, act):
@@ -102,6 +104,7 @@ def test_an_exception_that_is_lost_or_becomes_another_one_is_the_signal_all_the_
     assert ended(("check",), module, signal.SIGTERM, act) == (143, "coulombus: ended by SIGTERM\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 @pytest.mark.parametrize(
     ("words", "told"), [(SIM, "ended by SIGINT before the bus was ready"), (("simulate",), "interrupted")]

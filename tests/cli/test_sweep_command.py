@@ -73,6 +73,7 @@ def test_people_read_rates_and_the_command_that_repeats_the_worst_case(call, tmp
     assert result.exit_code == 7, result.output
 
 
+@pytest.mark.thorough
 def test_another_sweep_is_refused_and_replaced_by_force(call, tmp_path):
     assert call().exit_code == 0
     (tmp_path / "sweep.toml").write_text(TEXT.replace("runs = 4", "runs = 2"))
@@ -108,6 +109,7 @@ def test_without_pyarrow_it_is_said_before_anything_is_run(call, monkeypatch):
     assert "pip install -e '.[export]'" in result.output
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path):
     path, out = tmp_path / "sweep.toml", tmp_path / "out"

@@ -23,6 +23,7 @@ def test_the_table_has_each_fault_and_a_reason_where_none_is_named():
     assert all(reason.strip() for _, _, incident, reason in ROWS if incident == "-")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("fault", "place", "incident"), [row[:3] for row in ROWS])
 def test_explain_names_it(fault, place, incident, tmp_path):
     text = plan_of(fault, place, None, {}).text

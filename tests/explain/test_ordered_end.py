@@ -52,6 +52,7 @@ def looked_at(frames, rig, step):
     return [*shown, *(incident.root.kind for incident in explainer.explanation().incidents)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("delay_ns", [0, 100 * MS, 300 * MS, 900 * MS])
 @pytest.mark.parametrize("knows_the_rig", [True, False])
 @pytest.mark.parametrize("step", [200, 1_000_000])
@@ -60,6 +61,7 @@ def test_a_host_takes_its_time_to_order_the_nodes(run, delay_ns, knows_the_rig, 
     assert looked_at(later(frames, last_ns, delay_ns), rig if knows_the_rig else None, step) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("step", [40, 1_000_000])
 def test_a_host_that_is_gone_while_the_drive_is_enabled_is_an_incident(run, step):
     frames, last_ns, rig = run

@@ -57,6 +57,7 @@ def run_of(name):
     return run.frames, lambda: run.machine.files
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_blocks_in_which_a_log_is_read_change_nothing(name):
@@ -98,6 +99,7 @@ def drawn(seed, number=800):
     return frames
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [*range(11), 246])
 def test_of_any_frames_the_blocks_change_nothing(seed):
     frames = drawn(seed, 800 if seed == 246 else 300)

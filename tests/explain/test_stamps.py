@@ -26,6 +26,7 @@ def explained(frames, step):
     return explainer.explanation()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("step", [40, 300, 1_000_000])
 @pytest.mark.parametrize("seed", range(6))
 def test_stamps_out_of_order_end_nothing(frames, seed, step):

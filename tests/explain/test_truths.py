@@ -15,6 +15,7 @@ from coulombus.lab.simulate import simulate
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.thorough
 def test_forty_runs_are_told_as_they_were():
     score = Score()
     for seed in range(40):
@@ -27,6 +28,7 @@ def test_forty_runs_are_told_as_they_were():
     assert (score.invented, score.healthy > 1) == (0, True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*SCENARIOS, PAIR, *RIG_FAULTS])
 def test_each_thing_that_is_done_is_told(name):
     result = rig_outcome(3, name) if name in RIG_FAULTS else outcome(4, name)  # three drives

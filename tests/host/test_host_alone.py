@@ -60,6 +60,7 @@ def alone(tmp_path_factory):
     return run
 
 
+@pytest.mark.thorough
 def test_the_rooms_are_really_gone(alone):
     done = alone("simulate", "--rig", "rig.toml", "--seconds", 1)
     assert done.returncode == 2
@@ -88,6 +89,7 @@ def test_the_hosts_verbs_need_the_hosts_rooms_only(alone, words, status, text):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 def test_a_run_comes_to_its_end_on_a_bus_of_a_whole_installation(alone, tmp_path):
     bus, record = f"coulombus:alone-{os.getpid()}", tmp_path / "run.pcapng"

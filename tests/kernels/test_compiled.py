@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from coulombus.kernels import numba_inside
 from coulombus.kernels.compile_notice import compiling, on_compiling
@@ -21,9 +22,6 @@ from coulombus.kernels.kernel_cache import LONGEST_S, MARKER, alone, kept
 from coulombus.kernels.sources import source_key
 from coulombus.lab.simulate import simulate
 from places import ROOT
-
-import pytest  # isort: skip
-
 
 CALLEE = "from coulombus.kernels.decorator import kernel\n@kernel\ndef callee(x):\n    return x + {}\n"
 CALLER = (
@@ -192,6 +190,7 @@ def test_no_link_is_followed_out_of_a_cache(tmp_path):
     assert (tmp_path / "elsewhere" / MARKER).exists()
 
 
+@pytest.mark.thorough
 def test_a_child_takes_the_place_of_its_parent(tmp_path):
     child = (
         "import subprocess, sys; print(subprocess.check_output([sys.executable, '-c', sys.argv[1]], text=True).strip())"
@@ -226,6 +225,7 @@ def test_the_cache_is_the_users_alone_whatever_the_umask(tmp_path, umask):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("level", "mode", "mend"),
     [
@@ -264,6 +264,7 @@ def test_a_cache_of_another_user_is_refused(tmp_path, level):
     assert f"refused for compiled code: {folder} belongs to user 65534" in done.stderr
 
 
+@pytest.mark.thorough
 def test_without_any_place_to_write_everything_is_compiled_in_memory(tmp_path):
     (tmp_path / "own.py").write_text(
         "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n"
@@ -329,6 +330,7 @@ def test_a_damaged_cache_is_told_and_removed(cached_kernels, spoil, ending):
     assert list(cached_kernels.cache.rglob("*.nb?")) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_kernels_of_a_removed_cache_are_compiled_again(cached_kernels):
     shutil.rmtree(cached_kernels.cache)
@@ -356,6 +358,7 @@ def _second(numbers):
     return numbers[1]
 
 
+@pytest.mark.thorough
 def test_each_kind_of_argument_has_a_machine_code_of_its_own():
     """What is loaded for one kind is not called with another one."""
     whole, fraction = np.array([3, 4, 5]), np.array([1.5, 2.5, 3.5])
@@ -370,6 +373,7 @@ def test_each_kind_of_argument_has_a_machine_code_of_its_own():
     assert Entry(_first)((1.5, 2)) == 1.5
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_of_several_processes_one_compiles(tmp_path):
     """The others wait for it, say so, and load what it kept."""
@@ -421,6 +425,7 @@ def test_what_cannot_be_compiled_counts_as_nothing_and_keeps_nobody_waiting(tmp_
     assert not kept(tmp_path, "own.entry")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_constant_is_compiled_once_with_what_is_variable(tmp_path):
     (tmp_path / "own.py").write_text(
@@ -442,6 +447,7 @@ def test_a_law_that_is_a_kernel_elsewhere_keeps_its_address(tmp_path):
         assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).split() == ["0.0", "True"]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_kernel_that_stands_in_no_file_is_compiled_and_not_kept(tmp_path):
     code = "from coulombus.kernels.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\nprint(f(1))"
@@ -473,6 +479,7 @@ def test_who_asked_hears_once_that_something_is_compiled():
     assert lines == ["one"]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_compilation_is_told_and_what_is_loaded_is_not(tmp_path):
     own = OwnKernels(tmp_path)

@@ -30,6 +30,7 @@ def set_points(path, rig):
     return recording["brake.setpoint_Nm"].values, words >> start & (1 << entry.bits) - 1
 
 
+@pytest.mark.thorough
 @BRAKES
 @pytest.mark.parametrize("motor", ["own", "D"])
 def test_it_is_armed_and_brakes_by_its_own_counts(tmp_path, kind, motor):

@@ -68,6 +68,7 @@ def test_an_experiment_is_answered_and_reported(study_path, tmp_path):
     assert list(study_report(tmp_path / "out")["subjects"]) == ["S01"]
 
 
+@pytest.mark.thorough
 def test_the_faults_of_an_observer_change_its_answers(study_path, tmp_path):
     experiment(study_path, tmp_path / "fair", "S01", 0.01)
     experiment(study_path, tmp_path / "biased", "S01", 0.01, faults=Faults(bias=5.0))

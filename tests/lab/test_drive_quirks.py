@@ -59,6 +59,7 @@ def brought_up(rig):
     return world
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", QUIRKS)
 def test_a_quirk_arms_or_is_refused_with_its_reason(name, tmp_path):
     quirk = QUIRKS[name]

@@ -12,6 +12,7 @@ SECONDS = 8.0
 """Rest, hold and strokes of each rig's schedule."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "mode"),
     [*(("bench", mode) for mode in ("active", "passive", "hybrid")), ("paper", "hybrid"), ("two_axes", "active")],

@@ -46,6 +46,7 @@ def felt_wrong(result):
     return "remark" if remarks else None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mode", "axis", "factors", "report"),
     [

@@ -57,6 +57,7 @@ def test_each_bus_has_its_own_frames_and_sync_at_the_same_instant(shown):
     assert np.array_equal(*syncs)
 
 
+@pytest.mark.thorough
 def test_both_replays_of_two_buses_agree(shown):
     _, path = shown
     assert host_replay(path).difference is None
@@ -87,6 +88,7 @@ def test_faults_strike_an_arm_of_one_bus_only(tmp_path):
         simulate("plane", "hybrid", 1.0, overrides=ONE_CYCLE, faults=faults)
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.patient
 def test_a_lost_bus_trips_both_joints_and_the_other_brake_is_ramped_off(private_sockets, tmp_path):

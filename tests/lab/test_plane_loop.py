@@ -67,6 +67,7 @@ def test_motors_alone_oscillate_at_rest(elbow):
     assert 0.005 < rms < 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("elbow", ELBOWS)
 @pytest.mark.parametrize("rate_N_s", [1.0, 10.0])
 def test_break_away_is_at_the_static_friction_in_all_directions(elbow, rate_N_s):

@@ -47,6 +47,7 @@ def shown():
     return {mode: simulate("plane", mode, 8.0, seed=1) for mode in ("active", "passive", "hybrid")}
 
 
+@pytest.mark.thorough
 def test_with_brakes_both_joints_hold_and_motors_alone_oscillate(shown):
     counts = {mode: [axis["hold_counts_p2p"] for axis in run.axes.values()] for mode, run in shown.items()}
     assert counts["hybrid"] == counts["passive"] == [0, 0]

@@ -57,6 +57,7 @@ def test_the_tip_meets_a_wall_along_its_normal(recorded):
     assert np.ptp(y) > 0.08  # along its face the hand moves on
 
 
+@pytest.mark.thorough
 def test_the_same_world_gives_the_same_bytes_and_a_replay_renders_it_again(recorded, tmp_path):
     path, _ = recorded
     again = tmp_path / "b.pcapng"
@@ -76,6 +77,7 @@ def test_the_recording_has_each_joints_share_and_the_fade(recorded):
     assert np.allclose(np.diff(falling), -0.01, atol=2e-4)  # 2 ms of 0.2 s
 
 
+@pytest.mark.thorough
 def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips():
     def still(state):
         return Model(spring=PlaneSpring((0.23, 0.01), 40.0, 2.0), law=0.0)
@@ -90,6 +92,7 @@ def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips():
     assert "NET_WORK" in trip
 
 
+@pytest.mark.thorough
 def test_a_field_that_turns_the_tip_trips():
     curl = PlaneField(N_m=((0.0, -20.0), (20.0, 0.0)))
     trip = simulate("plane", "hybrid", 8, world=lambda state: Model(field=curl, law=0.0)).trip
@@ -97,6 +100,7 @@ def test_a_field_that_turns_the_tip_trips():
     assert "NET_WORK" in trip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["passive", "active", "hybrid"])
 def test_the_hand_presses_no_deeper_than_its_force_over_the_stiffness(mode):
     places = []
@@ -144,6 +148,7 @@ def turns(values, band):
     return count
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mode", "model", "least"),
     [

@@ -60,6 +60,7 @@ def children(mark):
     return [pid for pid in pids if pid != os.getpid()]
 
 
+@pytest.mark.thorough
 def test_two_tests_with_a_drive_pass_and_leave_nothing(project):
     result = project(
         """
@@ -134,6 +135,7 @@ def test_virtual(virtual_network):
     assert result.stdout.str().count("CAN bus ") == 3
 
 
+@pytest.mark.thorough
 def test_faults_and_a_rig(project):
     result = project(
         """
@@ -168,6 +170,7 @@ def test_rig(rig, faults):
     result.assert_outcomes(passed=3)
 
 
+@pytest.mark.thorough
 def test_an_interrupt_leaves_nothing(project):
     result = project(
         """
@@ -179,6 +182,7 @@ def test_interrupted(network, canopen_node):
     assert result.ret == pytest.ExitCode.INTERRUPTED
 
 
+@pytest.mark.thorough
 def test_several_workers_have_buses_of_their_own(project):
     pytest.importorskip("xdist")
     result = project(
@@ -194,6 +198,7 @@ def test_alone(network, canopen_node, can_bus, n):
     result.assert_outcomes(passed=6)
 
 
+@pytest.mark.thorough
 def test_the_socket_of_a_killed_process_is_removed(project, short_path):
     folder = short_path / "coulombus"
     folder.mkdir(mode=0o700)
@@ -204,6 +209,7 @@ def test_the_socket_of_a_killed_process_is_removed(project, short_path):
     project("def test_one(can_bus): pass").assert_outcomes(passed=1)
 
 
+@pytest.mark.thorough
 def test_without_linux_virtual_time_works_and_a_live_bus_is_an_error(tmp_path):
     (tmp_path / "test_both.py").write_text(
         "def test_virtual(virtual_network): virtual_network.wait_ns(1)\ndef test_live(can_bus): pass\n"

@@ -20,6 +20,7 @@ from coulombus import LinearField, Model, load_rig
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("seed", "mode", "hand"), [(1000, "passive", 0), (1007, "hybrid", 2), (1011, "active", 3)])
 def test_a_random_world_gives_the_hand_nothing(seed, mode, hand):
     _, outcome = on_bench(seed, mode, HANDS[hand])
@@ -35,6 +36,7 @@ def test_a_random_world_gives_the_hand_at_an_arms_tip_nothing():
     assert outcome.trip is None
 
 
+@pytest.mark.thorough
 def test_a_field_that_drives_gives_the_hand_energy():
     course = Course(1e-3)
 

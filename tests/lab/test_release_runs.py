@@ -59,6 +59,7 @@ def test_a_stranger_who_commands_the_drive_gives_the_handle_little():
     assert run.speed_rad_s <= GENTLE_RAD_S
 
 
+@pytest.mark.thorough
 def test_a_joint_of_an_arm_hands_over_as_an_axis_does():
     for what, least_Nm in (("orderly end", 0.24), ("motor: TPDO lost", 0.5)):
         run = ended("plane", "active", ENDS[what], 0.9, 3.5)

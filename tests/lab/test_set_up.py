@@ -98,6 +98,7 @@ def test_a_run_that_takes_a_set_up_over_has_the_same_bytes(
     assert {key for key in alone if alone[key] != taken[key]} == set()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "mode", "changed"), OTHERS)
 @pytest.mark.parametrize("tripped", [False, True])
 def test_a_world_that_begins_again_has_the_same_bytes(

@@ -67,6 +67,7 @@ def test_every_cycle_was_kept(runs, mode):
     json.dumps(dataclasses.asdict(result), allow_nan=False)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["active", "hybrid", "passive"])
 def test_truth_balances_and_neither_brake_nor_friction_pushes(runs, mode):
     _, _, truth = runs[mode]
@@ -198,6 +199,7 @@ def test_python_is_entered_for_services_only():
     assert sum(world.exits.values()) - before <= 10
 
 
+@pytest.mark.thorough
 def test_plain_python_gives_the_same_bytes_as_the_compiled_kernels(tmp_path):
     """The whole stack without the compiler: what is debugged there is what runs."""
     compiled = simulate("bench", "active", 0.2, record=tmp_path / "a.pcapng")

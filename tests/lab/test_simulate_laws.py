@@ -22,6 +22,7 @@ pytestmark = pytest.mark.slow
 STRONG = ("law.lugre.F_c_Nm=3.0", "law.lugre.F_s_Nm=3.5")
 
 
+@pytest.mark.thorough
 def test_lugre_holds_on_the_brake_and_is_replayed_bit_for_bit(tmp_path):
     path = tmp_path / "lugre.pcapng"
     overrides = (arg for text in STRONG for arg in ("--set", text))

@@ -57,6 +57,7 @@ def test_the_recording_shows_the_models_part_and_its_fade(recorded):
     assert np.all(np.diff(model) >= 0)
 
 
+@pytest.mark.thorough
 def test_a_replay_renders_the_world_again_bit_for_bit(recorded):
     result = host_replay(recorded)
     assert (result.difference, result.judged, result.unchecked) == (None, True, 0)
@@ -79,6 +80,7 @@ def test_a_replay_without_the_models_tells_what_is_missing(recorded, monkeypatch
         host_replay(recorded)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["active", "hybrid"])
 def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips(mode):
     def still(state):
@@ -93,6 +95,7 @@ def test_a_spring_that_stands_does_no_net_work_and_one_that_moves_trips(mode):
     assert trip.startswith("NET_WORK")
 
 
+@pytest.mark.thorough
 def test_a_wall_that_damps_and_is_too_stiff_for_the_motor_does_no_net_work():
     wall = Model(wall=Wall(0.2, 2.0, 0.1), law=0.0)
     assert simulate("bench", "active", 9, world=lambda state: wall).trip is None
@@ -109,13 +112,16 @@ STEADY_PUSH = (
     ("mode", "K_Nm_rad", "B_Nms_rad", "hand", "softened"),
     [
         ("active", 60.0, 0.0, (), 0.0),
-        ("active", 150.0, 0.1, (), 0.0),
-        ("active", 400.0, 0.2, (), 0.2),
+        pytest.param("active", 150.0, 0.1, (), 0.0, marks=pytest.mark.thorough),
+        pytest.param("active", 400.0, 0.2, (), 0.2, marks=pytest.mark.thorough),
         ("active", 3000.0, 0.0, (), 0.6),
-        ("active", 600.0, 0.0, ("operator.damping_Nms_rad = 0.01", "operator.inertia_kg_m2 = 1e-4"), 0.8),
-        ("active", 200.0, 0.0, ("plant.motor_lag_s = 5e-3",), 0.7),
+        pytest.param(
+            *("active", 600.0, 0.0, ("operator.damping_Nms_rad = 0.01", "operator.inertia_kg_m2 = 1e-4"), 0.8),
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param("active", 200.0, 0.0, ("plant.motor_lag_s = 5e-3",), 0.7, marks=pytest.mark.thorough),
         ("hybrid", 3000.0, 0.0, (), 0.0),
-        ("passive", 3000.0, 0.0, (), 0.0),
+        pytest.param("passive", 3000.0, 0.0, (), 0.0, marks=pytest.mark.thorough),
     ],
 )
 def test_a_stiff_wall_does_not_shake_a_hand_that_leans_on_it(mode, K_Nm_rad, B_Nms_rad, hand, softened):
@@ -175,6 +181,7 @@ def test_each_axis_has_its_model():
     assert {state.share for state in seen[1]} == {0.0, 1.0}
 
 
+@pytest.mark.thorough
 def test_a_free_handle_has_no_friction_without_a_model():
     free = ('world.rest="free"',)
     result = simulate("bench", "passive", 3, world=lambda state: None, overrides=free)

@@ -77,6 +77,7 @@ def test_every_group_has_its_steps():
     assert list(GROUPS) == list(warm_up_steps.GROUPS)
 
 
+@pytest.mark.thorough
 def test_without_a_compiler_nothing_is_compiled():
     output = coulombus("warm-up", NUMBA_DISABLE_JIT="1")
     assert output == "NUMBA_DISABLE_JIT=1: nothing is compiled\n"
@@ -217,6 +218,7 @@ def warmed_up(tmp_path):
     return variables
 
 
+@pytest.mark.thorough
 @COMPILED
 @pytest.mark.slow
 @pytest.mark.real_time

@@ -98,6 +98,7 @@ def test_identify_says_what_it_lacks(recorded, tmp_path):
     assert write_identification(tmp_path / "f.png", found).exists()
 
 
+@pytest.mark.thorough
 def test_decode_replay_and_watch_take_it(recorded):
     path = recorded.paths["hybrid"]
     assert host_replay(path).difference is None
@@ -112,6 +113,7 @@ def test_decode_replay_and_watch_take_it(recorded):
     assert shown["motor.position_rad"] is not None
 
 
+@pytest.mark.thorough
 def test_the_hold_study_and_the_limit_cycle(tmp_path):
     rig = rig_of(drive("own"), brake("own"), HOLD_AND_STROKE, text=RIGS["no sensor"])
     found = hold_study(rig)
@@ -126,6 +128,7 @@ def test_the_hold_study_and_the_limit_cycle(tmp_path):
     assert np.all(np.isfinite(cycle.force_N))
 
 
+@pytest.mark.thorough
 @beside(CORPUS)
 @pytest.mark.parametrize("file", ["systec_IO-X6_8AO.eds", "canopennode_demoDevice.eds"])
 def test_verbs_on_a_rehearsed_rig_of_another_makers_brake(tmp_path, file):

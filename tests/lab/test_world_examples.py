@@ -18,6 +18,7 @@ def outcome(name):
     return runpy.run_path(str(FOLDER / f"{name}.py"))["in_virtual_time"]()
 
 
+@pytest.mark.thorough
 def test_the_wheel_meets_its_detents_one_after_the_other():
     met, trip = outcome("detent_wheel")
     assert trip is None
@@ -32,12 +33,14 @@ def test_the_wall_is_met_and_the_brake_resists():
     assert 1.0 < brake_Nm <= 4.5
 
 
+@pytest.mark.thorough
 def test_the_latch_opens():
     events, trip = outcome("latch")
     assert trip is None
     assert events[0][1] == "open"
 
 
+@pytest.mark.thorough
 def test_a_local_model_is_still_where_a_stream_of_torques_shakes(tmp_path):
     example = runpy.run_path(str(FOLDER / "stability_map.py"))
     maps, tripped = example["in_virtual_time"](rates_Hz=(30, 1000), delays_ms=(0, 20))
@@ -52,6 +55,7 @@ def test_a_local_model_is_still_where_a_stream_of_torques_shakes(tmp_path):
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_a_brake_makes_a_wall_many_times_as_stiff_as_a_motor_can():
     felt = runpy.run_path(str(FOLDER / "stiffness.py"))["felt"]
     (active, withheld, _), (hybrid, none, trip) = felt("active", 1000.0), felt("hybrid", 1000.0)
@@ -60,6 +64,7 @@ def test_a_brake_makes_a_wall_many_times_as_stiff_as_a_motor_can():
     assert (none, trip) == (0.0, None)
 
 
+@pytest.mark.thorough
 def test_a_motor_alone_displays_no_wall_in_full_that_a_brake_does():
     example = runpy.run_path(str(FOLDER / "z_width.py"))
     assert [example["in_full"](mode, 3000.0, 0.0) for mode in ("active", "hybrid")] == [False, True]

@@ -46,6 +46,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_the_draft_of_an_xdd_runs_frame_for_frame_as_that_of_the_eds(folder):
     recordings = []
     for kind in ("eds", "xdd"):
@@ -61,6 +62,7 @@ def test_the_draft_of_an_xdd_runs_frame_for_frame_as_that_of_the_eds(folder):
     assert (first == second).all()
 
 
+@pytest.mark.thorough
 def test_a_recording_keeps_the_xdd_and_needs_no_file(folder):
     call("init", "--drive", "drive.xdd", "--brake", "bench", "--rehearse", "-o", "rig.toml")
     simulate("rig.toml", "hybrid", SECONDS, record="run.pcapng", overrides=QUICK)

@@ -56,6 +56,7 @@ def test_services_are_decoded_too():
     assert database.get_message_by_name("SYNC").length == 0
 
 
+@pytest.mark.thorough
 def test_command_writes_the_file_and_cantools_decodes_with_it(tmp_path):
     path = tmp_path / "bench.dbc"
     sets = [word for text in VELOCITY for word in ("--set", text)]

@@ -159,6 +159,7 @@ def compared(files, folder, suffix, seed=1):
     return values
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", [".dbc", ".kcd", ".sym"])
 def test_cantools_decodes_files_of_odd_types_and_maps_to_the_same_bits(tmp_path, suffix):
     values = 0

@@ -94,6 +94,7 @@ def test_a_bus_that_goes_away_ends_it_with_4():
     assert "Traceback" not in err
 
 
+@pytest.mark.thorough
 def test_no_bus_and_no_address():
     for arguments, status, text in (
         ((), 4, "`coulombus emulate --rig bench`"),

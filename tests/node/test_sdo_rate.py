@@ -9,6 +9,7 @@ from benchmarks.node_bus import DOMAIN, NodeBus
 CONTENT = random.Random(1).randbytes(20_000)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bitrate", [125_000, 1_000_000])
 def test_a_block_transfer_uses_the_bus(bitrate):
     bus = NodeBus(bitrate)

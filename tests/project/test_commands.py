@@ -103,7 +103,14 @@ def shortened(words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page, lines in sorted(RUN.items()) if lines])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=() if page == "README.md" else pytest.mark.thorough)
+        for page, lines in sorted(RUN.items())
+        if lines
+    ],
+)
 def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     desk(tmp_path, inputs, RUN[page])
@@ -129,6 +136,7 @@ def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
         pytest.skip(f"all other commands passed; not installed: {', '.join(dict.fromkeys(absent))}")
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.patient

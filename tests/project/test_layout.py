@@ -115,6 +115,7 @@ def test_circles_are_forbidden_everywhere_also_among_imports_for_types():
     assert not [one["name"] for one in all_of_them if {"ignore_imports", "depth", "skip_descendants"} & set(one)]
 
 
+@pytest.mark.thorough
 def test_plugins_of_python_can_load_without_numba():
     points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     modules = sorted({place.partition(":")[0] for group in points.values() for place in group.values()})

@@ -22,6 +22,7 @@ def made(folder):
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_an_environment_that_was_cut_off_is_made_anew_and_one_that_works_is_kept(tmp_path):
     """Killed before pip came, `make` said "No module named pip" from then on."""
     venv.create(tmp_path / ".venv", with_pip=False)

@@ -123,6 +123,7 @@ def test_a_draw_is_of_the_product_without_its_examples():
     assert not any("examples" in str(path) for path in modules.values())
 
 
+@pytest.mark.thorough
 def test_a_mutant_is_run_against_the_shortest_tests_that_cover_its_line_and_pass(tmp_path):
     folder = tmp_path / "map"
     code = f"import mutant_map, pytest, sys; mutant_map.FOLDER = mutant_map.Path({str(folder)!r})\n" + (
@@ -141,6 +142,7 @@ def test_a_mutant_is_run_against_the_shortest_tests_that_cover_its_line_and_pass
     assert mutate_drawn.tests_of(path, mutant, covering) <= set(found[1:])
 
 
+@pytest.mark.thorough
 def test_the_same_seed_draws_the_same_mutants_and_another_draws_others():
     command = [sys.executable, SCRIPTS / "mutate_drawn.py", "4", "--list", "--seed"]
     first, again, other = (subprocess.check_output([*command, seed], text=True, timeout=300) for seed in "334")
@@ -165,6 +167,7 @@ def test_a_mutant_is_exchanged_in_the_loaded_module_where_others_have_taken_it_f
     assert module.STEP == 3
 
 
+@pytest.mark.thorough
 def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_path):
     results = tmp_path / "mutants.jsonl"
     command = [

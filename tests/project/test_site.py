@@ -203,6 +203,7 @@ def test_every_page_is_in_the_list_of_pages():
     assert set(listed) == written | made
 
 
+@pytest.mark.thorough
 def test_the_site_needs_none_of_the_development_tools():
     """`make docs` in a copy that only ran `make demo` has the extra `docs` alone."""
     blocked = "import sys; sys.modules |= dict.fromkeys(('pytest', '_pytest', 'hypothesis', 'xdist', 'coverage'));"

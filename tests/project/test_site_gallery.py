@@ -45,6 +45,7 @@ def test_each_section_with_a_figure_has_a_command_and_a_picture():
         assert gallery.DRAWN.search(section) or re.search(r"^!\[.+\]\([\w-]+\.png\)$", section, re.M), section
 
 
+@pytest.mark.thorough
 def test_the_site_runs_the_commands_and_shows_their_pictures(tmp_path):
     assert gallery.commands(ONE) == ["coulombus law viscous --motion ramp --picture law.png"]
     (picture,) = gallery.pictures(ONE, tmp_path).items()
@@ -70,6 +71,7 @@ def test_pictures_are_kept_for_the_same_commands_and_drawn_again_for_others(tmp_
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.thorough
 def test_a_command_that_fails_or_draws_nothing_ends_the_build(tmp_path):
     with pytest.raises(RuntimeError, match="exit status 2"):
         gallery.pictures(ONE.replace("ramp", "rampp"), tmp_path)

@@ -37,6 +37,7 @@ def typeset(text):
     return hooks.on_page_content(as_html(text), PAGE, None, None)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT / "docs")))
 def test_each_formula_of_a_page_is_typeset(path):
     text = path.read_text()

@@ -64,6 +64,7 @@ def test_a_tutorial_in_virtual_time(page, tmp_path):
     follow(page, tmp_path)
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.parametrize("page", ["break-a-bus.md", "can-tour.md", "own-device.md"])
 def test_a_tutorial_on_a_live_bus(page, tmp_path, private_sockets):
@@ -72,6 +73,7 @@ def test_a_tutorial_on_a_live_bus(page, tmp_path, private_sockets):
     follow(page, folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_a_notebook_runs_from_its_first_cell_to_its_last(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -115,6 +115,7 @@ def test_a_tolerance_of_nothing_is_told(tmp_path):
         compare(path, path, tolerances={"motor.positon_rad": 1.0})
 
 
+@pytest.mark.thorough
 def test_the_differences_as_a_picture(tmp_path):
     comparison = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", push=50), tolerances={"Nm": 0.01})
     made = draw_differences(comparison)
@@ -152,6 +153,7 @@ def test_few_samples_are_drawn_as_they_are(recording):
     assert data.markers == ()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_a_plot_has_a_panel_for_each_unit_and_the_same_bytes_again(recording, tmp_path, suffix):
     made = recording.plot()

@@ -66,6 +66,7 @@ def test_a_compressed_recording_reads_as_the_plain_one(plain, tmp_path, suffix):
     assert (load_tape(path).frames == whole.frames).all()
 
 
+@pytest.mark.thorough
 @each_packing
 @pytest.mark.parametrize("verb", ["decode", "hz", "export --to csv -o OUT.csv", "export --to candump -o OUT.log"])
 def test_the_verbs_print_the_same(plain, tmp_path, suffix, verb):
@@ -81,6 +82,7 @@ def test_the_verbs_print_the_same(plain, tmp_path, suffix, verb):
     assert len(texts[0].splitlines()) > 4
 
 
+@pytest.mark.thorough
 @each_packing
 @settings(max_examples=12, derandomize=True, deadline=None)
 @given(part=st.floats(0.02, 0.999))
@@ -140,6 +142,7 @@ def test_what_is_no_recording_is_refused(plain, tmp_path, suffix):
         assert str(caught.value).startswith(f"{path}: ")
 
 
+@pytest.mark.thorough
 @each_packing
 def test_it_is_unpacked_piece_by_piece(tmp_path, suffix, monkeypatch):
     monkeypatch.setattr(module, "FREE_BYTES", 1 << 28)
@@ -176,6 +179,7 @@ HEADS = {
 }
 
 
+@pytest.mark.thorough
 @each_packing
 @pytest.mark.parametrize("name", HEADS)
 def test_a_file_that_unpacks_to_gigabytes_is_read_to_a_bound(tmp_path, suffix, name, monkeypatch):

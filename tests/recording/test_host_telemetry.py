@@ -179,6 +179,7 @@ def test_the_bus_own_recording_has_no_second_interface(tmp_path):
     assert not [name for name in read(path).signals if name.startswith("host.")]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
 def test_the_dissector_has_the_numbers_of_read(simulated, tmp_path):
     rig = load_rig("bench")

@@ -96,6 +96,7 @@ def row_places(name, frames, end):
     return content, places
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", TEXTS)
 def test_each_format_cut_anywhere_has_frames_and_counted_rows(tmp_path, name):
     path, frames = tmp_path / name, frames_of(name)[:4]
@@ -132,6 +133,7 @@ def random_text(seed):
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("ending", [".log", ".asc", ".trc", ".csv", ".txt", ""])
 def test_random_texts_give_no_frame(tmp_path, ending):
     path = tmp_path / f"text{ending}"

@@ -123,6 +123,7 @@ def test_a_text_cut_anywhere_has_frames_and_told_rows(tmp_path_factory, name, fr
         assert count >= sum(end < cut for _, end in rows), (content[:cut], remarks)  # whole rows are frames
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", TEXTS)
 @settings(max_examples=4, derandomize=True, database=None, deadline=None)
 @given(frames=some_frames)
@@ -142,6 +143,7 @@ def test_each_row_of_a_text_may_be_shortened(tmp_path_factory, name, frames):
             assert count + told == len(frames), (content[begin:cut], remarks)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BINARIES)
 @settings(max_examples=4, derandomize=True, database=None, deadline=None)
 @given(frames=some_frames)

@@ -108,6 +108,7 @@ def same(one, other):
         assert all(equal(a, b) for a, b in zip(mine.columns, theirs.columns, strict=True))
 
 
+@pytest.mark.thorough
 def test_it_is_the_recording_that_is_kept(recorded, monkeypatch):
     kept, other = read(recorded), long(recorded, monkeypatch)
     assert not kept.is_streamed
@@ -239,6 +240,7 @@ def test_the_extent_is_that_of_the_frames(recorded, kind):
     assert blocks(path).extent() == read(path).extent()
 
 
+@pytest.mark.thorough
 def test_a_span_of_a_run_in_segments(tmp_path, monkeypatch):
     monkeypatch.setattr("coulombus.recording.time_search.SLACK_NS", 20 * MS)
     rig = load_rig("bench")

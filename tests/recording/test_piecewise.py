@@ -50,6 +50,7 @@ def as_values(comparison):
     return values, rms
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("other", "tolerances"),
     [

@@ -110,6 +110,7 @@ after = "enabled"
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("losses", "sign"), [("", 1), (LOSSES, -1)], ids=["whole", "lost frames"])
 def test_a_recording_of_16_bits_has_the_handles_angle(tmp_path, monkeypatch, sign, losses):
     record, file = tmp_path / "r.pcapng", tmp_path / "faults.toml"

@@ -36,6 +36,7 @@ def elsewhere(folder, *lines):
         yield line, end["status"], end["stderr"]
 
 
+@pytest.mark.thorough
 def test_what_needs_no_live_bus_works_everywhere(tmp_path):
     (tmp_path / "still.toml").write_text(SWEEP)
     lines = (

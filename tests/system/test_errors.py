@@ -108,6 +108,7 @@ def drawn(name: str, status: str = "", indent: str = "") -> list[str]:
     return lines
 
 
+@pytest.mark.thorough
 def test_the_module_draws_the_tree():
     tree = ["CoulombusError", *drawn("CoulombusError")]
     assert len(tree) > 60

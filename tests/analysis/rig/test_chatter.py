@@ -35,6 +35,7 @@ def wall(loop):
     return module._wall(loop)[0]
 
 
+@pytest.mark.thorough
 def test_all_torques_scale_alike():
     heavier = device(5e-5, 1000.0, 16384, 1e-3, damping_Nms_rad=2e-4, friction_Nm=1e-2)
     assert friction(heavier) == pytest.approx(10 * friction(KNOB), rel=0.02)
@@ -48,12 +49,14 @@ def test_time_scales():
     assert friction(quicker) == pytest.approx(friction(KNOB), rel=0.02)
 
 
+@pytest.mark.thorough
 def test_without_own_friction_the_level_is_as_coarse_as_the_encoder():
     smooth = replace(KNOB, coulomb_Nm=0.0)
     finer = replace(smooth, count_rad=smooth.count_rad / 4, tap_rad_s=smooth.tap_rad_s / 4)
     assert 0.0 < friction(finer) == pytest.approx(friction(smooth) / 4, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_less_than_the_own_friction_moves_nothing():
     assert friction(KNOB) >= 0.99 * KNOB.coulomb_Nm
 
@@ -127,6 +130,7 @@ def test_the_rig_is_quiet_below_the_level_and_chatters_above_it(tmp_path):
     assert chattering(tmp_path, 1.1 * level) > 0.5
 
 
+@pytest.mark.thorough
 def test_the_verb_tells_and_draws(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "TAPS", 8)
     words = "analyse chatter --inertia 5e-6 --rate 1000 --counts 16384 --delay 1e-3 --damping 2e-5 --friction 1e-3"

@@ -124,6 +124,7 @@ def coverage(seeds):
     return holds, of
 
 
+@pytest.mark.thorough
 def test_a_bodys_friction_is_in_the_intervals():
     """With straight lines between the samples sigma_1 was 5 % off, and the minimum another one."""
     holds, of = coverage(range(1))
@@ -139,6 +140,7 @@ def test_a_bodys_friction_is_in_95_of_100_intervals():
     assert any(holds[name] < of[name] for name in of)  # and no interval that holds anything
 
 
+@pytest.mark.thorough
 def test_a_law_that_does_not_describe_the_data_is_named():
     t, x = motion(2000)
     law = given_law("lugre", [f"{name}={value}" for name, value in TRUE["lugre"].items()]).along(t, x)
@@ -153,6 +155,7 @@ def test_a_law_that_does_not_describe_the_data_is_named():
     assert "does not describe" not in "\n".join(lines(own))
 
 
+@pytest.mark.thorough
 def test_what_another_minimum_as_likely_says_otherwise_is_not_determined():
     """A motion without slow parts tells nothing of the Stribeck curve: many pairs of F_s and v_s are alike."""
     t = np.arange(2000) * 1e-3
@@ -184,6 +187,7 @@ def test_the_likeliest_period_is_the_laws(parts):
     assert found[0] == pytest.approx(period, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_a_recorded_detent_is_found_though_nothing_rests_behind_the_sign_check(tmp_path):
     """It pulls the handle as soon as it is shown: the host says itself when that is."""
     result = simulate("bench", "active", record=tmp_path / "detent.pcapng", overrides=("law.function=detent",))
@@ -204,6 +208,7 @@ def test_inertia_and_bias_are_told_apart_from_the_law():
     assert found.offset_Nm == pytest.approx(0.05, abs=2e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("samples", [2, 4, 5])
 def test_a_short_stretch_beside_a_long_one_is_no_hindrance(samples):
     one = stretch("dahl", **TRUE["dahl"])

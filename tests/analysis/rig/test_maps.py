@@ -210,6 +210,7 @@ def test_a_cluster_without_dask_is_told(monkeypatch):
         oscillation_map({"friction_level": [1.0]}, dask="tcp://127.0.0.1:1")
 
 
+@pytest.mark.thorough
 def test_a_dask_cluster_computes_the_same_bits():
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (extra [cluster])")
     here = oscillation_map(SMALL)

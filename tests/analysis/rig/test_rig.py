@@ -53,6 +53,7 @@ def hold():
 # the limit cycle through the bus
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("actuation", "frequency"), [("next_sync", 125.0), ("on_reception", 500 / 3)])
 def test_the_limit_cycle_on_the_bus_is_that_of_the_delayed_loop(cycles, actuation, frequency):
     found = next(c for c in cycles if c.actuation == actuation and c.hardware == "rig paper")
@@ -69,6 +70,7 @@ def test_next_sync_is_one_cycle_and_on_reception_is_what_the_frames_need(cycles)
     assert 0.3e-3 < soon.delay_range_s[0] <= soon.delay_s <= soon.delay_range_s[1] < 0.5e-3
 
 
+@pytest.mark.thorough
 def test_the_delay_of_the_stamps_is_the_plants(tmp_path):
     """The motor's true torque changes its sign that long after the SYNC at which it was decided."""
     from coulombus.analysis.rig.through_bus import loop_delay
@@ -109,6 +111,7 @@ def test_with_the_benchs_encoder_and_lag_it_is_not_on_the_curve(cycles):
 # identification
 
 
+@pytest.mark.thorough
 def test_friction_identified_compensated_and_identified_again(friction):
     assert friction.coulomb_before_Nm == pytest.approx(0.14, abs=0.001)
     assert abs(friction.coulomb_after_Nm) <= 0.005
@@ -137,6 +140,7 @@ def test_identify_tells_what_a_recording_lacks(tmp_path):
     assert "the last block is unfinished: 43 bytes were left out" in told.stderr
 
 
+@pytest.mark.thorough
 def test_identify_on_the_command_line(tmp_path):
     still, moved, plot = tmp_path / "still.pcapng", tmp_path / "moved.pcapng", tmp_path / "friction.png"
     simulate("bench", "hybrid", 0.05, record=still)
@@ -187,6 +191,7 @@ def test_more_friction_than_believed_is_identified_and_compensated():
     assert abs(found.coulomb_after_Nm) <= 0.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "status", "told"),
     [
@@ -254,6 +259,7 @@ def test_fig_12_saturates_and_the_literal_maximum_does_not_rest():
     assert data.band_rad_s == pytest.approx(0.16, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_figures_are_written_and_are_the_same_bytes_again(tmp_path, cycles, friction, hold):
     small = {
         "operator_inertia_kg_m2": np.geomspace(3e-4, 0.05, 4),

@@ -45,6 +45,7 @@ def test_the_proof_is_about_the_condition_itself(delay_s):
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("delay_s", DELAYS)
 def test_the_certificate_is_proved_between_its_frequencies(delay_s):
     found = absolute_stability(replace(PAPER, delay_s=delay_s))
@@ -160,6 +161,7 @@ def _simulate(resolution, zero, x, v, seconds):
     return np.array(signs)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("zero", ZEROS)
 @pytest.mark.parametrize("resolution", [1e-6, 3e-6])
 def test_what_a_simulation_ends_in_is_among_the_motions_of_its_choice(zero, resolution):
@@ -244,6 +246,7 @@ def test_alias_terms_add_up_to_the_response(delay_s):
     assert total == pytest.approx(frequency_response(f, parameters), rel=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("proved", "how"), [(True, "proved at every frequency"), (False, "verified at 77 frequencies")]
 )

@@ -70,6 +70,7 @@ def test_a_brake_that_cannot_be_is_refused(name):
         replace(BrakeLag(), **{name: -1.0})
 
 
+@pytest.mark.thorough
 def test_a_late_brake_swings_from_the_predicted_slope_on():
     """Lag x damping x hand: four hands, three lags, 8 % below the limit and 8 % above."""
     brakes = [
@@ -83,6 +84,7 @@ def test_a_late_brake_swings_from_the_predicted_slope_on():
     assert swings(above).all()
 
 
+@pytest.mark.thorough
 def test_the_push_does_not_move_the_limit():
     brake = BrakeLag()
     limit = ripple_limit(brake).damping_Nms_rad
@@ -91,6 +93,7 @@ def test_the_push_does_not_move_the_limit():
         assert swings(speeds).tolist() == [False, True]
 
 
+@pytest.mark.thorough
 def test_the_bench_swings_for_ever_under_a_constant_push():
     """2 Nms/rad and 1.5 Nm: a turn has the same size in the 4th second and in the 8th."""
     early = motions([BrakeLag()], [2.0], seconds=4.0)

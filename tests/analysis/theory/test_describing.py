@@ -131,6 +131,7 @@ def test_brake_is_certified_for_every_slope():
     assert circle_slope(PAPER) is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=pytest.mark.long), 1e-3])
 def test_zames_falb_beats_tsypkin_and_respects_nyquist(delay_s):
     parameters = replace(PAPER, delay_s=delay_s)

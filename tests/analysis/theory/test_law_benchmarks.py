@@ -101,6 +101,7 @@ def published():
     return literature_curves()
 
 
+@pytest.mark.thorough
 def test_the_curves_of_the_literature_are_met(published):
     assert {curve.law for curve in published} == {"lugre", "dahl", "kikuuwe"}
     for curve in published:
@@ -134,12 +135,14 @@ def test_the_document_has_the_curves_with_their_sources(published):
     assert [line for line in published_lines(published) if line not in text] == []
 
 
+@pytest.mark.thorough
 def test_each_curve_is_drawn_twice_the_same(published, tmp_path):
     first, second = (write_literature_figures(tmp_path / name, published) for name in "ab")
     assert [path.name for path in first] == [f"{curve.name}.{end}" for curve in published for end in ("png", "svg")]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
+@pytest.mark.thorough
 def test_the_verb_prints_the_tables_and_json(computed, published, monkeypatch, tmp_path):
     monkeypatch.setattr(published_curves, "literature_curves", lambda: published)
     monkeypatch.setattr(law_benchmarks, "benchmarks", lambda: computed[0])

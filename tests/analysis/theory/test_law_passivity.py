@@ -24,6 +24,7 @@ LONG = {"elastoplastic", "leuven", "gms", "lugre"}
 """Laws whose search takes more than a second."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in CLAIMS]
 )
@@ -59,6 +60,7 @@ def drawn(name, draw):
     }[name]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["dahl", "lugre", "elastoplastic", "gms", "leuven", "bliman_sorine", "kikuuwe", "wall"]
 )

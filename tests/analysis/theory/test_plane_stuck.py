@@ -41,6 +41,7 @@ def bears(J, normal, sense, push_rad):
     return False
 
 
+@pytest.mark.thorough
 @settings(derandomize=True, max_examples=25, deadline=None)
 @given(st.floats(-3, 3), ELBOWS, LINKS, LINKS, st.floats(0, 2 * math.pi))
 def test_a_wall_of_brakes_resists_like_friction(q1, q2, l1, l2, normal_rad):

@@ -30,6 +30,7 @@ def values(findings):
     return {finding.key or finding.name: finding for finding in findings}
 
 
+@pytest.mark.thorough
 def test_all_eight_steps_pass(results):
     assert [failures for _, _, failures in results] == [[], []]
     assert len(MEASURED) == 8
@@ -49,6 +50,7 @@ def test_a_motor_that_cogs_is_measured_right(results, key, share):
         assert values(findings)[key].new == pytest.approx(rig.figures[key], rel=share), rig.seed
 
 
+@pytest.mark.thorough
 def test_friction_that_grows_with_the_motors_torque_is_measured_apart(tmp_path):
     """Its share is of the true torque, though the rig file believes another one."""
     rig = random_rig(1010)

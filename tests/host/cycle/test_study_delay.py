@@ -99,6 +99,7 @@ def test_a_run_that_begins_forgets():
     assert bench.motor_pm == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("n", CYCLES)
 @pytest.mark.parametrize("way", ["trip", "stop", "switch"])
 @pytest.mark.parametrize("mode", ["active", "passive"])

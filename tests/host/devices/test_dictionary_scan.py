@@ -47,6 +47,7 @@ def test_objects_types_and_maps_are_the_devices(name):
     assert not [frame for frame in sent if frame[1][0] >> 5 == 1], "a download"
 
 
+@pytest.mark.thorough
 def test_access_is_tried_only_where_asked():
     own, made, _, _ = scanned()
     assert {v.access for i, o in made.objects.items() if 0x2000 <= i < 0x6000 for v in o.variables.values()} == {"ro"}

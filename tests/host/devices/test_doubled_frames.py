@@ -152,6 +152,7 @@ def bus(doubled=(), again_ns=0):
     return link
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [MOST[0], pytest.param(MOST[1], marks=pytest.mark.long)])
 @pytest.mark.parametrize("again_ns", AGAIN_NS)

@@ -305,6 +305,7 @@ def test_rubbish_in_every_file_raises_nothing_and_is_no_praise(examined, seed):
         assert not found[name].ok
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("value", ["x", None, [], {}, -1, True, "9" * 400])
 @pytest.mark.parametrize("key", list(LINK["linkinfo"]["info_data"]))
 def test_rubbish_of_ip_raises_nothing(examined, key, value):
@@ -544,6 +545,7 @@ def test_a_reference_that_fails_is_told_and_the_test_goes_on(tmp_path, monkeypat
     assert spent
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")
 def test_the_loop_is_measured_beside_a_load():

@@ -316,6 +316,7 @@ def test_a_stop_by_command_is_no_fault(bench):
     assert requests[0].result()["exit_status"] == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_whatever_call_of_the_parent_fails_the_rig_is_made_safe(bench, pytestconfig):
     """Each place in the code that calls into C, at its first call.

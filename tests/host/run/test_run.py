@@ -265,6 +265,7 @@ def test_no_switch_no_torque_on_a_real_interface():
     assert "host.deadman" in err
 
 
+@pytest.mark.thorough
 def test_the_demo(tmp_path):
     """The whole of it with a short schedule: two simulations, two hosts, verdict, figure."""
     phase = HOLD.replace("20.0", "2.6")

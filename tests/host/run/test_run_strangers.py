@@ -46,15 +46,18 @@ SAID = {
     "EMCY of 2 bytes": (0x081, b"\x10\x23", "EMCY_MOTOR"),
     "EMCY of no byte": (0x081, b"", "EMCY_MOTOR"),
 }
+FEW = {"motor set-point", "brake set-point", "EMCY of 2 bytes"}
+"""One of a kind: a run for each takes seconds."""
 
 
 @pytest.mark.parametrize(
     ("mode", "said"),
     [
-        *(("hybrid", said) for said in SAID),
+        *(pytest.param("hybrid", said, marks=() if said in FEW else pytest.mark.thorough) for said in SAID),
+        ("active", "drive's torque limit"),
         *(
-            ("active", said)
-            for said in ("motor set-point", "brake set-point", "drive's torque limit", "EMCY of 6 bytes")
+            pytest.param("active", said, marks=pytest.mark.thorough)
+            for said in ("motor set-point", "brake set-point", "EMCY of 6 bytes")
         ),
     ],
 )
@@ -82,6 +85,7 @@ def test_what_a_stranger_says_makes_the_rig_safe(mode, said):
     assert all(data == b"\x00\x00\x00\x00" for data in commands[sent_on:])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["hybrid", "active"])
 def test_who_only_reads_disturbs_nobody(mode):
     overrides = (f"phase={HOLD}",)

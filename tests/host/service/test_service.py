@@ -175,6 +175,7 @@ def test_a_folder_that_cannot_be_made_is_a_usage_error():
     assert CliRunner().invoke(main, ["systemd", "-o", "/dev/null/x"]).exit_code == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.usefixtures("private_sockets")
 @pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")

@@ -39,6 +39,7 @@ def shown(tmp_path_factory):
     return run_plane_demo(load_rig("plane", (SCHEDULE,)), folder), folder
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_motors_alone_oscillate_and_brakes_alone_miss_the_direction(shown):
     demo, _ = shown
@@ -62,6 +63,7 @@ def test_its_files_have_what_the_run_had(shown):
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_display_that_misses_the_law_fails(shown, tmp_path):
     rig = load_rig("plane", (SCHEDULE, "brake.fluid_lag_s=0.001", "brake.coil_lag_s=0"))  # the host is wrong
@@ -131,6 +133,7 @@ def test_a_rig_that_cannot_show_it_is_refused(rig, words, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_the_verb_takes_the_rig_plane_and_prints_a_column_a_mode(tmp_path):
     result = CliRunner().invoke(main, ["demo", "--plane", "--set", SCHEDULE, "--out", str(tmp_path / "out")])

@@ -59,6 +59,7 @@ def test_the_same_inputs_give_the_same_outputs(recorded):
     assert (found.recorded_trip, found.computed_trip) == (None, None)
 
 
+@pytest.mark.thorough
 def test_it_does_not_matter_how_many_are_taken_at_a_time(recorded, monkeypatch):
     whole = host_replay(recorded)
     monkeypatch.setattr("coulombus.host.cycle.replay.AHEAD", 3)
@@ -114,6 +115,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", FAULTS)
 def test_what_a_fault_did_to_the_host_is_in_the_recording(tmp_path, name):
     """Which frames the host had, what it asked for, and how its clock ran."""
@@ -138,6 +140,7 @@ def test_what_a_fault_did_to_the_host_is_in_the_recording(tmp_path, name):
     assert (host_replay(path).difference.name, host_replay(path).difference.cycle) == ("motor.RPDO1", 201)
 
 
+@pytest.mark.thorough
 def test_the_trip_of_another_bus_is_an_input(tmp_path):
     """Where one bus of a rig trips, the hosts of the others are stopped at that instant: which no
     frame tells.
@@ -189,6 +192,7 @@ def test_a_missing_output_is_a_difference(recorded, tmp_path):
     assert host_replay(path).difference.name == "brake.RPDO1"
 
 
+@pytest.mark.thorough
 def test_another_law_is_measured_not_judged(recorded):
     found = host_replay(recorded, ["law.function=coulomb"])
     assert found.exit_status == 0
@@ -224,6 +228,7 @@ def test_a_recording_that_ends_in_the_midst_is_checked_to_its_end(recorded, tmp_
     assert found.exit_status == 0
 
 
+@pytest.mark.thorough
 def test_the_command(recorded, tmp_path):
     run = CliRunner().invoke
     done = run(main, ["replay", str(recorded), "--host", "--json"])
@@ -318,6 +323,7 @@ def test_a_law_that_only_a_recording_names_is_not_run(strangers, tmp_path, name)
     assert "evil" not in sys.modules
 
 
+@pytest.mark.thorough
 def test_the_law_that_the_user_names_runs_and_not_the_one_beside_the_recording(strangers, tmp_path, monkeypatch):
     path, witness = strangers("evil.py:law")
     (tmp_path / "mine").mkdir()
@@ -345,6 +351,7 @@ def test_a_schedule_that_a_recording_names_is_not_read(recorded, tmp_path):
 OWN = "def law(motion, law, state):\n    state.brake_Nm = law.F_d\n    return {} * motion.v_rad_s\n"
 
 
+@pytest.mark.thorough
 def test_a_law_of_the_user_is_attached_and_a_changed_one_is_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own, path = tmp_path / "own.py", tmp_path / "own.pcapng"
@@ -366,6 +373,7 @@ def host_replay_by_law(path, law):
     return done.exit_code, done.stderr, json.loads(done.stdout)["judged"]
 
 
+@pytest.mark.thorough
 def test_another_version_of_our_own_law_is_told(recorded, tmp_path):
     assert not host_replay(recorded).remarks
     capture = read_pcapng(recorded)

@@ -45,6 +45,7 @@ def test_the_changes_are_markers_of_the_recording(recorded):
     assert f"compensation={(0.97).hex()}>{(0.1 + 0.2).hex()} in 240]" in found[1]
 
 
+@pytest.mark.thorough
 def test_a_replay_of_a_run_with_changes_is_bit_for_bit(recorded):
     found = host_replay(recorded)
     assert (found.difference, found.exit_status, found.unchecked, found.refused) == (None, 0, 0, 0)
@@ -89,6 +90,7 @@ def test_a_change_of_one_axis_leaves_the_others_alone(tmp_path):
     assert host_replay(path).difference is None
 
 
+@pytest.mark.thorough
 def test_the_named_parameters_of_a_law_are_replayed(tmp_path):
     path, overrides = tmp_path / "r.pcapng", (PUSHED, "law.function='lugre'")
 
@@ -100,6 +102,7 @@ def test_the_named_parameters_of_a_law_are_replayed(tmp_path):
     assert host_replay(path).difference is None
 
 
+@pytest.mark.thorough
 def test_an_undo_in_the_midst_of_a_ramp_is_replayed(tmp_path):
     """From where the value has come, back to where it was, and again away before it is there."""
     path = tmp_path / "r.pcapng"
@@ -119,6 +122,7 @@ def test_an_undo_in_the_midst_of_a_ramp_is_replayed(tmp_path):
     assert (found.difference, found.unchecked) == (None, 0)
 
 
+@pytest.mark.thorough
 def test_a_trip_in_the_midst_of_a_ramp_is_replayed(tmp_path):
     path = tmp_path / "r.pcapng"
 
@@ -138,6 +142,7 @@ def test_a_trip_in_the_midst_of_a_ramp_is_replayed(tmp_path):
     assert found.computed_trip == found.recorded_trip == result.trip
 
 
+@pytest.mark.thorough
 def test_changes_under_a_law_of_ones_own_are_replayed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     law = "def law(motion, law, state):\n    state.brake_Nm = law.F_s\n    return -law.F_d * motion.v_rad_s\n"

@@ -109,6 +109,7 @@ def test_a_port_in_use_is_told(page):
         AnswerPage("?", lambda: None, urlsplit(page.url).port)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 def test_a_browser_answers_by_keys_buttons_and_the_field(page, stops, tmp_path):

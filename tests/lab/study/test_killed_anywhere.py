@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from places import ROOT
 from study_text import TEXT
 
@@ -109,6 +111,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.thorough
 def test_killed_at_any_place_a_session_goes_on_and_comes_to_the_same_bytes(tmp_path):
     (tmp_path / "study.toml").write_text('consent = "May we?"\nbreak_after = 2\n' + TEXT)
     ran = subprocess.run(

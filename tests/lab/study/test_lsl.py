@@ -37,6 +37,7 @@ with SubjectFolder(read_study(Path(sys.argv[1])), Path(sys.argv[2]), "S01", {}) 
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_markers_come_to_another_program_in_their_order(tmp_path):
     (tmp_path / "study.toml").write_text(TEXT)

@@ -65,6 +65,7 @@ def at_once(monkeypatch):
     monkeypatch.setattr(module, "map_of", drawn)
 
 
+@pytest.mark.thorough
 def test_any_number_of_processes_comes_to_the_same_table(sweep_file, tmp_path, monkeypatch):
     sweep = read_sweep(sweep_file())
     monkeypatch.setattr(module, "map_of", drawn)
@@ -191,6 +192,7 @@ def test_a_sweep_that_is_done_runs_nothing_again(sweep_file, tmp_path, monkeypat
     assert run_sweep(sweep, tmp_path / "out") == first
 
 
+@pytest.mark.thorough
 def test_a_folder_of_another_sweep_is_not_mixed(sweep_file, tmp_path, at_once):
     out = tmp_path / "out"
     run_sweep(read_sweep(sweep_file()), out)
@@ -221,6 +223,7 @@ def test_two_sweeps_do_not_share_a_folder(sweep_file, tmp_path):
         run_sweep(sweep, tmp_path / "out")
 
 
+@pytest.mark.thorough
 def test_a_sweep_file_in_its_own_folder_stays(sweep_file, tmp_path, at_once):
     path = sweep_file(**{"runs = 6": "runs = 1", "latin_hypercube": "random"})
     text = path.read_text()
@@ -230,6 +233,7 @@ def test_a_sweep_file_in_its_own_folder_stays(sweep_file, tmp_path, at_once):
     assert len(table(tmp_path)) == 1
 
 
+@pytest.mark.thorough
 def test_a_run_that_fails_is_a_row_and_misses_its_rates(sweep_file, tmp_path, at_once):
     text = """
 design = "grid"
@@ -251,6 +255,7 @@ known = "cycles > 0"
     assert (rows[2]["cycles"], rows[2]["rates.known"]) == (None, False)
 
 
+@pytest.mark.thorough
 def test_a_mistake_of_the_program_ends_no_sweep(sweep_file, tmp_path, monkeypatch, at_once):
     def mistaken(run):
         if run.rig.one_axis().operator.inertia_kg_m2 > 5e-3:
@@ -284,6 +289,7 @@ def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
     assert all(worker.process.poll() is not None for worker in started)
 
 
+@pytest.mark.thorough
 def test_a_process_has_its_next_run_before_the_present_is_done(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
     orders = [order_of(sweep, run) for run in range(sweep.runs)]
@@ -331,6 +337,7 @@ untripped = "trip == none"
             )
 
 
+@pytest.mark.thorough
 def test_the_worst_case_is_a_rig_that_simulate_takes_and_that_fails(sweep_file, tmp_path, at_once):
     text = """
 design = "grid"
@@ -383,6 +390,7 @@ still = "cycles == 1"
     assert worst.tried == len(asked) == 2 * 7 + 1
 
 
+@pytest.mark.thorough
 def test_the_worst_case_of_a_rig_elsewhere_finds_its_files(tmp_path, at_once):
     (tmp_path / "lab").mkdir()
     eds = (Path(packaged_rig("bench")).parents[1] / "eds" / "motor.eds").read_text()
@@ -402,6 +410,7 @@ def test_the_worst_case_of_a_rig_elsewhere_finds_its_files(tmp_path, at_once):
     assert (tmp_path / "elsewhere" / "worst-untripped-1.eds").read_text() == eds
 
 
+@pytest.mark.thorough
 def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once, monkeypatch):
     monkeypatch.setattr(module, "map_of", map_of)
     sweep = read_sweep(sweep_file())

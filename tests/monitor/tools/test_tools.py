@@ -187,6 +187,7 @@ def test_tshark_with_the_dissector_has_the_numbers_of_read(rig, folder, recordin
         np.testing.assert_allclose(values, seen[name].values, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.thorough
 @needs_tshark
 def test_tshark_filters_and_tells_in_words(tmp_path):
     rig = load_rig("bench")

@@ -94,6 +94,7 @@ def typed(name, text):
     return moved(name, repr(text))
 
 
+@pytest.mark.thorough
 def test_sliders_change_parameters_and_keys_mark(tmp_path):
     door = Door(arm_key="004711")
 

@@ -149,6 +149,7 @@ def test_a_click_breaks_a_node_and_a_further_click_repairs_it(tmp_path):
     asyncio.run(with_bus(tmp_path, use, faults))
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @in_a_browser
 def test_the_keyboard_alone_breaks_a_node_and_escape_closes_its_faults_first(tmp_path):
@@ -179,6 +180,7 @@ def test_the_keyboard_alone_breaks_a_node_and_escape_closes_its_faults_first(tmp
     asyncio.run(with_bus(tmp_path, use, faults))
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @in_a_browser
 @pytest.mark.parametrize(("size", "dark"), [((1366, 768), False), ((1366, 768), True), ((400, 800), False)])
@@ -199,6 +201,7 @@ def test_the_bus_has_room_and_contrast(tmp_path, size, dark):
     asyncio.run(with_bus(tmp_path, use, faults, size=size, dark=dark))
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @in_a_browser
 def test_the_newest_incident_is_first_and_open_beside_the_bus(tmp_path):
@@ -215,6 +218,7 @@ def test_the_newest_incident_is_first_and_open_beside_the_bus(tmp_path):
     asyncio.run(with_bus(tmp_path, use, Faults(), incidents=incidents))
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @in_a_browser
 def test_the_plots_are_there_without_the_bus_in_the_address(tmp_path):

@@ -111,6 +111,7 @@ def test_a_trip_shows_its_first_step_and_each_sample_around_it(tmp_path):
     shown(tmp_path, use)
 
 
+@pytest.mark.thorough
 def test_the_page_of_a_trip_is_served_again_without_bus_and_host(tmp_path):
     kept = []
 
@@ -149,6 +150,7 @@ def test_a_kept_page_that_is_damaged_is_refused(content):
         LastPage.of(content, TOKEN)
 
 
+@pytest.mark.thorough
 def test_an_orderly_end_is_told_without_alarm_with_the_hosts_counts(tmp_path):
     async def use(browser, scene):
         assert await browser.text("lost_pdos") == "-"
@@ -172,6 +174,7 @@ def test_an_orderly_end_is_told_without_alarm_with_the_hosts_counts(tmp_path):
     shown(tmp_path, use)
 
 
+@pytest.mark.thorough
 def test_no_host_yet_shows_the_command_that_starts_one(tmp_path):
     async def use(browser, scene):
         scene.page.host.__init__()
@@ -199,6 +202,7 @@ def test_stop_is_green_when_the_drive_says_that_it_is_disarmed(tmp_path):
     shown(tmp_path, use)
 
 
+@pytest.mark.thorough
 def test_the_list_of_incidents_follows_and_opens(tmp_path):
     async def use(browser, scene):
         assert await browser.text("incidents") == "none"
@@ -213,6 +217,7 @@ def test_the_list_of_incidents_follows_and_opens(tmp_path):
     shown(tmp_path, use)
 
 
+@pytest.mark.thorough
 def test_a_line_is_hidden_and_shown_by_its_name(tmp_path):
     async def use(browser, scene):
         torque = "plots.find((p) => p.row.signals.length === 4)"
@@ -226,6 +231,7 @@ def test_a_line_is_hidden_and_shown_by_its_name(tmp_path):
     shown(tmp_path, use)
 
 
+@pytest.mark.thorough
 def test_the_server_says_goodbye_with_the_last_word(tmp_path):
     async def use(browser, scene):
         scene.word = WORD | {"trip": "SPEED: too fast"}

@@ -33,6 +33,7 @@ async def with_page(tmp_path, use, *, size=(1280, 720), dark=False, door=None, r
         assert browser.errors == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dark", [False, True])
 def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
     """Also of a trip, of what is stale or silent, and of controls that are disabled."""
@@ -57,6 +58,7 @@ def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
     asyncio.run(with_page(tmp_path, use, dark=dark, door=Door("123456"), status={"trip": "SPEED: too fast"}))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [(1920, 1080), (1366, 768), (1280, 720), (768, 1024), (390, 844)])
 def test_the_samples_at_a_trip_have_room_beside_the_last_ten_seconds(tmp_path, size):
     async def use(browser, shown):
@@ -74,6 +76,7 @@ def test_the_samples_at_a_trip_have_room_beside_the_last_ten_seconds(tmp_path, s
     asyncio.run(with_page(tmp_path, use, size=size, status=trip))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [(1920, 1080), (1280, 720), (1024, 768), (768, 1024), (390, 844)])
 def test_everything_has_room(tmp_path, size):
     """Nothing is beyond the window's side, nothing of the top, the tables and the parameters is cut
@@ -149,6 +152,7 @@ def test_the_keyboard_alone_reaches_and_does_everything(tmp_path):
     asyncio.run(with_page(tmp_path, use, door=door))
 
 
+@pytest.mark.thorough
 def test_zoom_and_freeze(tmp_path):
     async def use(browser, shown):
         envelope = "plots.find((p) => p.kind === 'envelope')"
@@ -178,6 +182,7 @@ def test_zoom_and_freeze(tmp_path):
     asyncio.run(with_page(tmp_path, use))
 
 
+@pytest.mark.thorough
 def test_a_tab_that_sleeps_is_sent_nothing_and_misses_nothing(tmp_path):
     async def use(browser, shown):
         (session,) = shown.sessions
@@ -201,6 +206,7 @@ def test_a_tab_that_sleeps_is_sent_nothing_and_misses_nothing(tmp_path):
     asyncio.run(with_page(tmp_path, use))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("law", ["karnopp", "lugre"])
 def test_each_parameter_and_each_signal_has_its_element(tmp_path, law):
     door = Door(overrides=(f"law.function='{law}'",), mode="active")

@@ -147,6 +147,7 @@ async def fetched(request):
     return await AsyncHTTPClient().fetch(request, raise_error=False)
 
 
+@pytest.mark.thorough
 def test_a_new_start_has_the_same_token_and_a_port_in_use_ends_with_words(bus):
     with page_of() as (_, url):
         _, port, token = place(url)
@@ -265,6 +266,7 @@ def test_one_who_reads_nothing_blocks_nobody(bus):
             assert process.poll() is None
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)")
 def test_a_page_finds_the_server_again_after_that_was_killed(bus, tmp_path):
     async def run(first, url, port):

@@ -147,6 +147,7 @@ def test_the_verb_serves_until_its_time_is_over(path):
     assert json.loads(done.stdout.splitlines()[0])["event"] == "ready"
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)")
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])

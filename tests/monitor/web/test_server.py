@@ -336,6 +336,7 @@ def test_an_arm_key_of_half_a_character_is_wrong():
     assert answer["error"].startswith("the arm key is wrong")
 
 
+@pytest.mark.thorough
 def test_a_hundred_thousand_mutilated_orders_change_nothing_beyond_bounds():
     door, noise = Door(), random.Random(5)
     seeds = ['set {"values": {"F_s_Nm": 3.2}}', 'set {"undo": true}', "mark 7", "took 3", "control"]

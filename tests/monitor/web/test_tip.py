@@ -167,6 +167,7 @@ def test_a_law_of_speed_or_place_has_no_ring(law):
     assert law_ring(rig, "hybrid", {}) is None
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)")
 def test_the_page_of_an_arm_draws_its_tip(tmp_path, rig):

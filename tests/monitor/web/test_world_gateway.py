@@ -248,6 +248,7 @@ def test_the_page_is_served_if_one_is_given(tmp_path):
     asyncio.run(run())
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_the_browser_example_renders_its_wall_and_draws_the_handle(tmp_path):
@@ -269,6 +270,7 @@ def test_the_browser_example_renders_its_wall_and_draws_the_handle(tmp_path):
     asyncio.run(run())
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_the_block_of_the_browser_sets_the_levels_and_shows_whether_it_slides(tmp_path):

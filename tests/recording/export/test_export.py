@@ -317,6 +317,7 @@ except OSError as error:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "limit", [pytest.param(500, marks=pytest.mark.long), 2000, pytest.param(20000, marks=pytest.mark.long)]
 )
@@ -343,6 +344,7 @@ def killed(source: Path, out: Path, number: int) -> int:
     return subprocess.run(words, capture_output=True, timeout=300, check=False).returncode
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "number",
     [

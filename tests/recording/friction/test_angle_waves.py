@@ -43,6 +43,7 @@ WAVES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", [(), ("cogging",), ("ripple",), ("uneven",), ("uneven", "cogging", "ripple")])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_what_is_there_is_found_and_nothing_else(kinds, seed):
@@ -54,6 +55,7 @@ def test_what_is_there_is_found_and_nothing_else(kinds, seed):
     assert periods.get("ripple", 6) == 6
 
 
+@pytest.mark.thorough
 def test_with_all_waves_in_the_fit_its_figures_are_right():
     slides = swept(WAVES)
     rows = equations(slides.slides, T, COUNT, 0.031)

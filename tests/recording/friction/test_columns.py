@@ -153,6 +153,7 @@ UNITS = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("names", "factors", "options"), UNITS)
 @pytest.mark.parametrize("delimiter", [",", ";"])
 def test_units_stand_in_the_header_or_in_an_option(tmp_path, names, factors, options, delimiter):

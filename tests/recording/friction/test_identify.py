@@ -72,6 +72,7 @@ def fitted(rng, truth, **changes):
     return fit_friction(rows, rows.hand_Nm)
 
 
+@pytest.mark.thorough
 def test_the_intervals_of_all_parameters_hold_the_truth_in_95_of_100():
     held = {name: [] for name in ("coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm", "stribeck_Nm")}
     for seed in range(40):
@@ -85,6 +86,7 @@ def test_the_intervals_of_all_parameters_hold_the_truth_in_95_of_100():
         assert 0.90 <= np.mean(intervals) <= 1.0, name
 
 
+@pytest.mark.thorough
 def test_stribeck_is_not_seen_where_there_is_none():
     fits = [fitted(rng, random_truth(rng)) for rng in map(np.random.default_rng, range(40))]
     assert [fit.stribeck_Nm for fit in fits] == [None] * 40
@@ -141,6 +143,7 @@ def test_friction_that_grows_with_the_load_is_told_from_coulomb_and_viscous(shar
     assert min(held.values()) >= 17, held
 
 
+@pytest.mark.thorough
 def test_without_such_friction_no_share_of_the_load_is_told():
     for seed in range(20):
         rng = np.random.default_rng([9, seed])
@@ -289,6 +292,7 @@ def test_without_a_motor_there_is_no_sign_check_to_wait_for():
     assert identify(recording).felt.coulomb_Nm.value == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_not_a_number_and_missing_cycles_are_left_out():
     rng = np.random.default_rng(0)
     recording = made_run(rng)

@@ -75,6 +75,7 @@ def test_no_hysteresis_is_found_where_there_is_none(tmp_path):
     assert iron_lines(fit)[-1] == "no hysteresis is seen: no [brake.iron] is needed"
 
 
+@pytest.mark.thorough
 def test_the_verb_prints_the_section_and_its_json(recording):
     result = CliRunner().invoke(main, ["identify", str(recording), "--iron"])
     assert result.exit_code == 0

@@ -95,6 +95,7 @@ def rigs(draw):
     return name, overrides
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(rigs(), st.sampled_from([Errors(), Errors(), Errors(1, 10_000_000)]))
@@ -116,6 +117,7 @@ def test_the_columns_are_enough_to_compute_them_anew(chosen, errors):
             assert row["response_us"] == pytest.approx(float(response), abs=1e-6)
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=100)
 @given(rigs())
 def test_a_plan_fits_when_every_response_meets_its_deadline_and_else_names_the_frame(chosen):

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from benchmarks.loss import account
 from coulombus.recording.reading import read
 from coulombus.wire.frame import CAN_ERR_FLAG
 
 
+@pytest.mark.thorough
 def test_every_frame_on_a_noisy_bus_is_accounted_for(tmp_path):
     file = tmp_path / "r.pcapng"
     found, result, world = account(6.0, tmp_path, file)

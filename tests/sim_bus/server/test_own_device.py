@@ -137,6 +137,7 @@ def test_the_page_shows_the_words_that_there_are(device):
     assert len(EXAMPLE.read_text().splitlines()) <= 40
 
 
+@pytest.mark.thorough
 @pytest.mark.real_time
 @pytest.mark.patient
 def test_the_example_passes_the_conformance_run(private_sockets):

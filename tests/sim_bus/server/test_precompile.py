@@ -119,6 +119,7 @@ def test_after_the_trial_no_service_and_no_schedule_loads_a_kernel():
     assert loaded(RIG) == ""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "node_id", [pytest.param("5", marks=pytest.mark.long), "255"], ids=["numbered", "for an LSS master"]
 )

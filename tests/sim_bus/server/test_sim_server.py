@@ -398,6 +398,7 @@ def start_command(*options, **popen):
     return process, json.loads(process.stdout.readline())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_the_command_ends_with_0_on_a_signal_that_was_ignored_at_its_start(number):
     process, ready = start_command(preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))

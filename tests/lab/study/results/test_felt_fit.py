@@ -70,6 +70,7 @@ def test_a_report_as_felt_is_in_the_torque_that_was_judged(folder):
     assert report(folder)["subjects"]["S01"]["a"]["felt"] is None
 
 
+@pytest.mark.thorough
 def test_thresholds_as_felt_are_printed(folder):
     came = CliRunner().invoke(main, ["analyse", "study", str(folder), "--felt"])
     assert came.exit_code == 0, came.output
@@ -84,6 +85,7 @@ def test_a_recording_that_is_gone_is_named(folder):
         report(folder, felt=True)
 
 
+@pytest.mark.thorough
 def test_what_differs_between_two_displays_of_a_level_is_in_the_fit():
     rng = np.random.default_rng(6)
     levels = np.tile([1.4, 1.7, 2.3, 2.6], 60)

@@ -57,6 +57,7 @@ LONG = ("staircase", "weighted", "quest", "above")
 """The fit knows levels and answers, not the method that chose them."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.long if kind in LONG else ()) for kind in METHODS]
 )
@@ -75,6 +76,7 @@ def test_the_intervals_hold_the_truth_in_90_to_99_of_100_studies(kind):
     assert np.median(fits) == pytest.approx(JND, rel=0.1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "kind", ["staircase", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("constant", "weighted", "quest"))]
 )
@@ -104,6 +106,7 @@ def test_lapses_are_fitted_where_easy_levels_tell_them():
         assert fit.jnd == pytest.approx(0.2 * ndtri(0.75), rel=0.05)
 
 
+@pytest.mark.thorough
 def test_the_deviance_finds_a_subject_who_changes_and_no_other():
     rng = np.random.default_rng(5)
     levels = np.tile([1.6, 1.8, 1.9, 2.1, 2.2, 2.4], 40)
@@ -118,6 +121,7 @@ def test_the_deviance_finds_a_subject_who_changes_and_no_other():
     assert odd.overdispersion > 2
 
 
+@pytest.mark.thorough
 def test_the_jnd_of_a_tenth_of_lapses_is_that_of_an_observer_who_has_them():
     """The answers hardly tell the lapses: the fit's own JND is too large then."""
     rng = np.random.default_rng(7)
@@ -130,6 +134,7 @@ def test_the_jnd_of_a_tenth_of_lapses_is_that_of_an_observer_who_has_them():
     assert np.median([fit.jnd for fit in fits]) > 1.1 * jnd
 
 
+@pytest.mark.thorough
 def test_a_drift_is_found_and_none_where_there_is_none():
     """A staircase follows the subject: the deviance does not see it, and the JND is too large."""
     still = [fitted("staircase", seed, bias=0.3) for seed in range(40)]

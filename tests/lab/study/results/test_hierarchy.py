@@ -16,6 +16,7 @@ def subject(rng, jnd, levels=LEVELS):
     return posterior(counted(levels, larger, REFERENCE, None))
 
 
+@pytest.mark.thorough
 def test_the_interval_of_a_group_holds_its_median_and_spread():
     held = np.zeros(2)
     for seed in range(30):

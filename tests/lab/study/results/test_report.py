@@ -97,6 +97,7 @@ def test_the_level_is_the_key_that_it_is_set_to(tmp_path, level, told):
     assert _study_of(tmp_path)["level"] == {"quantity": "", "unit": ""}
 
 
+@pytest.mark.thorough
 def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
     keep(TEXT.replace("repeats = 2", "repeats = 15"), 0.15)
     first, second = (write_figures(report(tmp_path / "out"), tmp_path / name) for name in ("one", "two"))
@@ -126,6 +127,7 @@ def test_conditions_are_compared_by_a_mixed_model():
     assert 1.2 < low < 1.5 < high < 1.9  # b is 1.5 times a, but for a few per cent
 
 
+@pytest.mark.thorough
 def test_the_mixed_models_interval_holds_a_known_effect_in_90_to_99_of_100_studies(recwarn):
     pytest.importorskip("statsmodels")
     draw, held = np.random.default_rng(0), 0
@@ -157,6 +159,7 @@ def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
         report(tmp_path / "out")
 
 
+@pytest.mark.thorough
 def test_a_mean_counts_who_entered_it_and_names_who_did_not(keep, tmp_path):
     keep(TWO, 0.13, 0.17, 1e-4, 0.15)
     events = sorted((tmp_path / "out").glob("sub-*/*_events.tsv"))
@@ -198,6 +201,7 @@ def test_two_staircases_come_to_one_threshold_and_a_shift_cancels(shift):
     assert folded["turns"] < turned["turns"]
 
 
+@pytest.mark.thorough
 def test_a_pse_that_drifts_is_named(tmp_path):
     (tmp_path / "study.toml").write_text(CONSTANT)
     study = read_study(tmp_path / "study.toml")

@@ -69,6 +69,7 @@ def test_the_band_holds_the_function_and_is_drawn(drawn, shown):
     assert outline[:, 1].min() == pytest.approx(low.min())
 
 
+@pytest.mark.thorough
 def test_bands_of_95_percent_hold_the_true_function_of_most_subjects():
     grid = np.linspace(LEVELS[0], LEVELS[-1], 9)
     truth = ndtr((grid - REFERENCE - 0.05) / (JND / QUARTER))
