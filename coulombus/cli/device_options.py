@@ -15,7 +15,6 @@ import click
 from coulombus.cli.errors import errors
 from coulombus.cli.option_types import SECONDS, UNCHECKED_PATH, InputPath
 from coulombus.cli.options import ADAPTER, BUS_VARIABLE, RIG_VARIABLE, argument, option, with_adapter_options
-from coulombus.cli.rig_options import load
 from coulombus.system.exit import say
 from coulombus.system.foreign_text import printable
 
@@ -103,6 +102,8 @@ class NodeType(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
                 ctx,
             )
         with errors():
+            from coulombus.cli.rig_options import load
+
             ids = {node.name: node.node_id for node in load(rig_name, ()).nodes}
         if text not in ids:
             self.fail(f"{text!r}: the rig {rig_name} has the nodes {', '.join(ids)}", param, ctx)
@@ -215,6 +216,7 @@ class DeviceOptions:
 
 def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:
     """Return the EDS file of a node of a rig, and the units of its signals."""
+    from coulombus.cli.rig_options import load
     from coulombus.eds.units import Unit
     from coulombus.host.errors import DeviceMismatch
 

@@ -34,6 +34,7 @@ from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status
 
 __all__ = [
     "EXIT_STATUS",
+    "FAULT",
     "STATUSES",
     "Failure",
     "Verbs",

@@ -9,10 +9,10 @@ options: its fields are declared in the same way. The declarations that several 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import update_wrapper
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import click
 
@@ -64,8 +64,7 @@ ADAPTER_OPTIONS = f"{__name__}.adapter_options"
 """Key of a context: the values of --bus-option."""
 
 
-@dataclass(frozen=True)
-class DeclaredOption:
+class DeclaredOption(NamedTuple):
     """An option or an argument, with the attributes that click has for it."""
 
     click_decorator: Callable[..., Callable[[F], F]]

@@ -100,7 +100,7 @@ class CoulombusError(Exception):
     Attributes
     ----------
     exit_status
-        Exit status of a verb that the error ends (`coulombus.cli.exit_status`).
+        Exit status of a verb that the error ends (`coulombus.cli.errors`).
     """
 
     exit_status: int

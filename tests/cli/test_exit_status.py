@@ -14,10 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
-from coulombus.cli.exit_status import FAULT, STATUSES
 
 from coulombus.cli import emulate
-from coulombus.cli.errors import EXIT_STATUS
+from coulombus.cli.errors import EXIT_STATUS, FAULT, STATUSES
 from coulombus.cli.main import main
 from coulombus.eds.regular_file import read_regular
 from coulombus.lab.simulate import simulate

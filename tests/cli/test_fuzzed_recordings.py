@@ -10,8 +10,8 @@ import struct
 
 import pytest
 from click.testing import CliRunner
-from coulombus.cli.exit_status import FAULT, STATUSES
 
+from coulombus.cli.errors import FAULT, STATUSES
 from coulombus.cli.main import main
 from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_reader import read_pcapng

@@ -22,9 +22,7 @@ import threading
 import time
 from pathlib import Path
 
-from coulombus.cli.exit_status import FAULT
-
-from coulombus.cli.errors import Failure, errors
+from coulombus.cli.errors import FAULT, Failure, errors
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controllers import Controllers

@@ -8,9 +8,9 @@ from functools import cache
 from typing import NamedTuple
 
 import pytest
-from coulombus.cli.exit_status import FAULT, STATUSES
 
 import coulombus
+from coulombus.cli.errors import FAULT, STATUSES
 from coulombus.system import errors
 from coulombus.system.errors import CoulombusError
 from places import ROOT
