@@ -13,7 +13,7 @@ from pathlib import Path
 from coulombus.eds.cia301 import TPDOS, CobId, NmtCommand, NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD
 from coulombus.eds.description import Description
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import is_another
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.clues import Clues
 from coulombus.explain.frames import NEVER, REMOTE, SYNC, Block, Frames
@@ -353,8 +353,7 @@ class Bus:
 
     def _compare(self, number: int, identity: tuple[int, int]) -> None:
         """Remove the rig's names from a node that is not the rig's device."""
-        expected = told_identity(self.of_rig[number])
-        if all(seen in (0, of_rig) for seen, of_rig in zip(identity, expected, strict=True)):
+        if not is_another(self.of_rig[number], identity):
             return
         del self.of_rig[number]
         self.others.append(number)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import DUMMY_TYPES, PDO_NAMES, CobId
 from coulombus.eds.description import Description
 from coulombus.eds.eds_folder import EdsFiles
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import is_another
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
@@ -173,11 +173,7 @@ class LogMaps:
 
     def other_devices(self, rig: Rig) -> bool:
         """Return whether a node of the bus is another device than the rig's (1018h)."""
-        for node in rig.nodes:
-            of_bus, of_rig = self.identity(node.node_id), told_identity(node.description)
-            if any(seen not in (0, expected) for seen, expected in zip(of_bus, of_rig, strict=True) if expected):
-                return True
-        return False
+        return any(is_another(node.description, self.identity(node.node_id)) for node in rig.nodes)
 
     def rig_pdo(self, pdo_map: Map) -> RigPdo:
         """Return a PDO as in a rig: the node is a number, a signal is named by its PDO and object,
