@@ -135,8 +135,8 @@ def _listen(bus_name: str, rig: Rig | None, files: EdsFiles, seconds: float | No
         if not as_json:
             say(news(explanation, incident))
 
-    known = KnownBus(rig, files)
-    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), print_news, known=known, seconds=seconds)
+    known_bus = KnownBus(rig, files)
+    return explain_bus(parse_address(bus_name, WITH_ADAPTERS), print_news, known=known_bus, seconds=seconds)
 
 
 def _show(explanation: Explanation, source: str, number: int | None, outputs: ExplainOutputs) -> None:

@@ -32,7 +32,7 @@ __all__ = [
 class ShowProgress(Protocol):
     """Callback with a bar's label, the time reached, the total time, and a text."""
 
-    def __call__(self, label: str, t: float, total: float | None, told: str = ..., /) -> None: ...
+    def __call__(self, label: str, t: float, total: float | None, text: str = ..., /) -> None: ...
 
 
 PROSE = 100
@@ -97,7 +97,7 @@ def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterato
 
     console = PrintableConsole(stderr=True)
     if not enabled or not console.is_terminal:
-        yield lambda label, t, total, told=done: None
+        yield lambda label, t, total, text=done: None
         return
     columns = (
         TextColumn("{task.description:<8}"),
@@ -110,14 +110,14 @@ def progress(enabled: bool, done: str = "displayed", width: int = 40) -> Iterato
     tasks: dict[str, TaskID] = {}
     with running(bars) as shown:
 
-        def report(label: str, t: float, total: float | None, told: str = done) -> None:
+        def report(label: str, t: float, total: float | None, text: str = done) -> None:
             with shown:
                 if label not in tasks:
                     bars.update(starting, visible=False)
                     tasks[label] = bars.add_task(label, total=total, told="")
                 t = t if total is None else min(t, total)
                 whole = "" if total is None else f" of {total:.0f}"
-                bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {told}")
+                bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {text}")
 
         try:
             yield report

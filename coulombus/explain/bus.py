@@ -85,10 +85,10 @@ class Bus:
         Names and PDO maps of a rig, and EDS files.
     """
 
-    def __init__(self, known: KnownBus) -> None:
-        rig = known.rig
-        self.descriptions = dict(known.eds.of_nodes)
-        self.candidates = known.eds.candidates
+    def __init__(self, known_bus: KnownBus) -> None:
+        rig = known_bus.rig
+        self.descriptions = dict(known_bus.eds.of_nodes)
+        self.candidates = known_bus.eds.candidates
         """EDS files to be matched with nodes by identity (1018h)."""
         self.of_rig = {} if rig is None else {node.node_id: node.description for node in rig.nodes}
         """EDS files of the rig's nodes, used for names only: `fixed` has the maps."""

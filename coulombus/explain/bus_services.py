@@ -46,7 +46,7 @@ class Services:
             due = self._times[-1] + self._period_ns
             self.clues.begin("time_lost", None, self._times[-1], text, row=self._row, due_ns=due)
         sync = self.bus.first_of.get(SYNC)
-        if self._due_ns and (sync is not None or any(known.synchronous for known in self.bus.maps.values())):
+        if self._due_ns and (sync is not None or any(pdo_map.synchronous for pdo_map in self.bus.maps.values())):
             self._empty(sync, t_ns)
 
     def _time(self, row: int, t_ns: int) -> None:
@@ -80,10 +80,10 @@ class Services:
             self._due_ns = 0  # there are PDOs
         elif t_ns > due_ns:
             self._due_ns = 0
-            there = [node.number for _, node in starts if node.state_at(due_ns) == NmtState.OPERATIONAL]
-            number = there[0] if len(there) == 1 else None
+            operational = [node.number for _, node in starts if node.state_at(due_ns) == NmtState.OPERATIONAL]
+            number = operational[0] if len(operational) == 1 else None
             text = f"OPERATIONAL beside SYNC for {EMPTY_NS / 1e9:g} s, and not one PDO"
             if sync_ns is None:
                 text = f"OPERATIONAL for {EMPTY_NS / 1e9:g} s: its PDOs follow SYNC, and no SYNC comes"
-            if there:
+            if operational:
                 self.clues.begin("no_pdo", number, due_ns - EMPTY_NS, text, due_ns=due_ns)

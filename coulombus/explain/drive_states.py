@@ -96,18 +96,18 @@ class Drives:
     def _changes(self, block: Block) -> Iterator[tuple[int, int, int, int, int, int]]:
         """Yield (row, time, node, axis, object, value) for each change of a word."""
         for key, group in block.groups.items():
-            known = self.bus.maps.get(key)
-            if known is None or not known.fields:
+            pdo_map = self.bus.maps.get(key)
+            if pdo_map is None or not pdo_map.fields:
                 continue
             for low, mask in ((STATUS, STATE_BITS), (CONTROL, COMMAND_BITS), (ERROR_CODE, WORD)):
-                for axis, field in known.find(low):
+                for axis, field in pdo_map.find(low):
                     words = group.word >> field.start & mask
                     before = self._last.get((key, low, axis), -1)
                     changed = np.flatnonzero(np.concatenate(([words[0] != before], words[1:] != words[:-1])))
                     self._last[key, low, axis] = int(words[-1])
                     for i in changed.tolist():
                         if 8 * int(group.length[i]) >= field.start + 16:
-                            yield int(group.rows[i]), int(group.t_ns[i]), known.node, axis, low, int(words[i])
+                            yield int(group.rows[i]), int(group.t_ns[i]), pdo_map.node, axis, low, int(words[i])
 
     def _event(self, row: int, t_ns: int, node: int, axis: int, low: int, value: int) -> None:
         drive = self._axes.setdefault((node, axis), _Axis())
@@ -135,8 +135,8 @@ class Drives:
         before, drive.state = drive.state, state
         if state == before or state < 0:
             return
-        own = sum(a.state == PowerState.OPERATION_ENABLED for (n, _), a in self._axes.items() if n == node)
-        self.bus.power.setdefault(node, []).append((t_ns, own))
+        axes_enabled = sum(a.state == PowerState.OPERATION_ENABLED for (n, _), a in self._axes.items() if n == node)
+        self.bus.power.setdefault(node, []).append((t_ns, axes_enabled))
         number = sum(axis.state == PowerState.OPERATION_ENABLED for axis in self._axes.values())
         if not self.bus.powered or self.bus.powered[-1][1] != number:
             self.bus.powered.append((t_ns, number))

@@ -51,39 +51,39 @@ class DriveValues:
 
     def take(self, block: Block) -> None:
         """Process a block."""
-        for group, known in self._pdos(block, "rpdo"):
-            for axis, field in known.find(MODE):
-                self._wish(known.node, axis, group.t_ns, _column(group, field))
-        for group, known in self._pdos(block, "tpdo"):
-            fields = {(low, axis): field for low in (STATUS, MODE_SHOWN, TORQUE) for axis, field in known.find(low)}
-            axes = {axis for low, axis in fields if low == STATUS and self._is_source(known, axis)}
+        for group, pdo_map in self._pdos(block, "rpdo"):
+            for axis, field in pdo_map.find(MODE):
+                self._wish(pdo_map.node, axis, group.t_ns, _column(group, field))
+        for group, pdo_map in self._pdos(block, "tpdo"):
+            fields = {(low, axis): field for low in (STATUS, MODE_SHOWN, TORQUE) for axis, field in pdo_map.find(low)}
+            axes = {axis for low, axis in fields if low == STATUS and self._is_source(pdo_map, axis)}
             for axis in axes:
                 status = _column(group, fields[STATUS, axis])
                 state = STATE_OF_STATUSWORD[status & 0x7F]
                 if (MODE_SHOWN, axis) in fields:
-                    self._mode(group, known.node, axis, state, _column(group, fields[MODE_SHOWN, axis]))
+                    self._mode(group, pdo_map.node, axis, state, _column(group, fields[MODE_SHOWN, axis]))
                 if (TORQUE, axis) in fields:
-                    self._torque(group, known.node, axis, state, _signed(group, fields[TORQUE, axis]))
-                self._status(group, known.node, axis, status)
-                self._runs_on(block, group, known, axis, state)
+                    self._torque(group, pdo_map.node, axis, state, _signed(group, fields[TORQUE, axis]))
+                self._status(group, pdo_map.node, axis, status)
+                self._runs_on(block, group, pdo_map, axis, state)
         for key, group in block.groups.items():
             self._last_ns[key] = int(group.t_ns[-1])
 
     def _pdos(self, block: Block, direction: str) -> Iterator[tuple[Frames, Map]]:
         for key, group in block.groups.items():
-            known = self.bus.maps.get(key)
-            if known is not None and known.direction == direction and (group.length >= known.length).all():
-                yield group, known
+            pdo_map = self.bus.maps.get(key)
+            if pdo_map is not None and pdo_map.direction == direction and (group.length >= pdo_map.length).all():
+                yield group, pdo_map
 
-    def _is_source(self, known: Map, axis: int) -> bool:
+    def _is_source(self, pdo_map: Map, axis: int) -> bool:
         """Return whether a PDO is the first one of the log with this axis' statusword."""
         first = self.bus.first_of
         sources = [
             other.can_id
             for other in self.bus.maps.values()
-            if other.node == known.node and other.can_id in first and axis in {a for a, _ in other.find(STATUS)}
+            if other.node == pdo_map.node and other.can_id in first and axis in {a for a, _ in other.find(STATUS)}
         ]
-        return known.can_id == min(sources, key=lambda can_id: first[can_id])
+        return pdo_map.can_id == min(sources, key=lambda can_id: first[can_id])
 
     def _status(self, group: Frames, node: int, axis: int, status: Integers) -> None:
         mode = self._modes.get((node, axis), self._shown(node, axis))
@@ -101,9 +101,9 @@ class DriveValues:
         holds = enabled & (status & INTERNAL_LIMIT != 0)
         self._held("limit_active", node, axis, group, holds, HELD_NS, "internal limit active (statusword bit 11)")
 
-    def _runs_on(self, block: Block, group: Frames, known: Map, axis: int, state: Integers) -> None:
+    def _runs_on(self, block: Block, group: Frames, pdo_map: Map, axis: int, state: Integers) -> None:
         """Note a drive that is in Operation Enabled some time after its host fell silent."""
-        node, subject = known.node, (axis, "PDO")
+        node, subject = pdo_map.node, (axis, "PDO")
         for silence in self.bus.silences:
             at_ns = silence.due_ns + RUNS_NS
             i = int(group.t_ns.searchsorted(at_ns))
@@ -116,7 +116,7 @@ class DriveValues:
             shown = {
                 name: int(_signed(group, field)[i])
                 for low, name in MOTION.items()
-                for mapped, field in known.find(low)
+                for mapped, field in pdo_map.find(low)
                 if mapped == axis
             }
             moving = [value for name, value in shown.items() if name != "position"]
@@ -171,12 +171,12 @@ class DriveValues:
         self._wishes[node, axis] = value, since_ns
 
     def _written(self, node: int, axis: int) -> int:
-        known = self.bus.nodes.get(node)
-        return known.objects.get((0x6060 + 0x800 * axis, 0), -1) if known is not None else -1
+        seen = self.bus.nodes.get(node)
+        return seen.objects.get((0x6060 + 0x800 * axis, 0), -1) if seen is not None else -1
 
     def _shown(self, node: int, axis: int) -> int:
-        known = self.bus.nodes.get(node)
-        return known.objects.get((0x6061 + 0x800 * axis, 0), self._written(node, axis)) if known is not None else -1
+        seen = self.bus.nodes.get(node)
+        return seen.objects.get((0x6061 + 0x800 * axis, 0), self._written(node, axis)) if seen is not None else -1
 
     def _held(self, kind: str, node: int, axis: int, group: Frames, holds: Holds, least_ns: int, text: str) -> None:
         """Note periods in which a condition holds for long enough."""

@@ -90,11 +90,11 @@ class Explainer:
 
     def __init__(
         self,
-        known: KnownBus | None = None,
+        known_bus: KnownBus | None = None,
         span: tuple[float | None, float | None] = (None, None),
         epoch_ns: int | None = None,
     ) -> None:
-        self.bus = Bus(known or KnownBus())
+        self.bus = Bus(known_bus or KnownBus())
         self._rare = RareFrames(self.bus)
         self._drives, self._sync, self._pdos = Drives(self.bus), SyncTiming(self.bus), PdoTiming(self.bus)
         self._load = BusLoad(self.bus)
@@ -191,8 +191,8 @@ class Explainer:
             return frames, comments
         keep = self._is_in_span(frames["t_ns"])
         behind = np.cumsum(keep)
-        kept = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
-        return frames[keep], kept
+        comments_inside = [(int(behind[row]) - 1, text) for row, text in comments if row < len(keep) and keep[row]]
+        return frames[keep], comments_inside
 
     def _is_in_span(self, t_ns: Integers) -> npt.NDArray[np.bool_]:
         """Return whether each of these times is within the span."""
@@ -277,7 +277,11 @@ class Explainer:
             )
         remarks += self._polls()
         assumed = sorted(
-            {known.node for known in bus.maps.values() if known.source == "assumed" and known.can_id in bus.counts}
+            {
+                pdo_map.node
+                for pdo_map in bus.maps.values()
+                if pdo_map.source == "assumed" and pdo_map.can_id in bus.counts
+            }
         )
         if assumed:
             nodes = ", ".join(map(str, assumed))
@@ -335,8 +339,8 @@ def explain(
     first_ns = last_ns = -1
     for capture in captures_of_bus(Path(path), channel, remarks):
         if explainer is None:
-            known = KnownBus(rig or attached_rig(capture, remarks), eds or EdsFiles())
-            explainer = Explainer(known, span, capture.origin_ns)
+            known_bus = KnownBus(rig or attached_rig(capture, remarks), eds or EdsFiles())
+            explainer = Explainer(known_bus, span, capture.origin_ns)
         explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
         first_ns = int(capture.frames["t_ns"][0]) if first_ns < 0 and len(capture.frames) else first_ns
         last_ns = int(capture.frames["t_ns"][-1]) if len(capture.frames) else last_ns

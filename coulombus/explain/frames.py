@@ -102,8 +102,8 @@ class Block:
         order = np.argsort(rows, kind="stable")
         which = np.concatenate([np.full(len(group), key, np.int64) for key, group in groups])
         columns = [np.concatenate([getattr(group, name) for _, group in groups]) for name in ("t_ns", "word", "length")]
-        chosen = (rows, columns[0], which, columns[1], columns[2])
-        yield from zip(*(column[order].tolist() for column in chosen), strict=True)
+        fields = (rows, columns[0], which, columns[1], columns[2])
+        yield from zip(*(column[order].tolist() for column in fields), strict=True)
 
 
 class Rolling:

@@ -43,8 +43,8 @@ class HostMarkers:
         """Keep the host's latest telemetry: phase, trip and limits of each axis."""
         heads = inside[(inside["can_id"] - FIRST) % PER_AXIS == 0]
         if len(heads):
-            kept = np.concatenate((self._inside, heads))
-            self._inside = kept[kept["t_ns"] > kept["t_ns"][-1] - KEPT_NS]
+            recent = np.concatenate((self._inside, heads))
+            self._inside = recent[recent["t_ns"] > recent["t_ns"][-1] - KEPT_NS]
 
     def take(self, block: Block) -> None:
         """Process a block."""

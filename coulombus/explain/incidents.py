@@ -98,10 +98,11 @@ class Incident:
         if trips:  # what comes behind the trip is no cause of it
             telling = [clue for clue in telling if clue.begin_ns <= min(trips) + PROMPT_NS]
         grave = [clue for clue in telling if clue.kind not in MINOR] or telling
-        known = min(clue.due_ns for clue in grave)
-        early = [clue for clue in grave if clue.begin_ns <= known + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
-        early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= known + PROOF_NS]
-        early += [clue for clue in telling if known - ROOT_NS <= clue.begin_ns < known]  # jitter behind it is no cause
+        due_ns = min(clue.due_ns for clue in grave)
+        early = [clue for clue in grave if clue.begin_ns <= due_ns + (PROMPT_NS if clue.kind in PROMPT else ROOT_NS)]
+        early += [clue for clue in grave if clue.kind in PROOFS and clue.begin_ns <= due_ns + PROOF_NS]
+        # jitter behind it is no cause
+        early += [clue for clue in telling if due_ns - ROOT_NS <= clue.begin_ns < due_ns]
         root = max(early, key=lambda clue: (KINDS[clue.kind].rank, -clue.begin_ns))
         for kinds, causes, of_node, within_ns in CAUSES:
             if root.kind in kinds:
@@ -182,17 +183,17 @@ MOMENTARY = MINOR | {"babble", "error_frames", "no_ack", "pdo_length", "sdo_abor
 def join(clues: Iterable[Clue]) -> list[Incident]:
     """Return the incidents, the most important first, numbered from 1."""
     incidents: list[Incident] = []
-    kept = [clue for clue in clues if clue.kind not in OFTEN or clue.count >= FEW]
-    for clue in sorted(kept, key=_order):
+    relevant = [clue for clue in clues if clue.kind not in OFTEN or clue.count >= FEW]
+    for clue in sorted(relevant, key=_order):
         parents = [incident for incident in incidents if _explains(incident, clue)]
         if parents:
             max(parents, key=lambda incident: _nearness(incident, clue)).clues.append(clue)
         else:
             incidents.append(Incident([clue]))
-    order = {"unresolved": 0, "recovered": 1, "warning": 2}
+    ranks = {"unresolved": 0, "recovered": 1, "warning": 2}
     incidents = list(_merged(incidents))
     incidents.sort(
-        key=lambda incident: (order[incident.status], _minor(incident), not incident.is_danger, incident.begin_ns)
+        key=lambda incident: (ranks[incident.status], _minor(incident), not incident.is_danger, incident.begin_ns)
     )
     for number, incident in enumerate(incidents, 1):
         incident.number = number
@@ -277,7 +278,7 @@ def _explains(incident: Incident, clue: Clue) -> bool:
     if root.kind in ("node_lost", "host_lost") and clue.kind == "rpdo_missing":
         return clue.begin_ns <= root.due_ns  # their sender fell silent
     if clue.kind == "rpdo_late":  # the host waits for the missing TPDO
-        return any(known.kind in ("tpdo_missing", "tpdo_late") for known in incident.clues)
+        return any(other.kind in ("tpdo_missing", "tpdo_late") for other in incident.clues)
     return clue.kind == "emcy" and root.kind in GONE and "0x81" in clue.text
 
 

@@ -24,41 +24,43 @@ class Lengths:
     def take(self, block: Block) -> None:
         """Process a block."""
         for key, group in block.groups.items():
-            known = self.bus.maps.get(key)
-            if known is None:
+            pdo_map = self.bus.maps.get(key)
+            if pdo_map is None:
                 self._service(key, group)
-            if known is None or known.source == "assumed":
+            if pdo_map is None or pdo_map.source == "assumed":
                 continue
-            expected = known.length or self._last.get(key, int(group.length[0]))
+            expected = pdo_map.length or self._last.get(key, int(group.length[0]))
             self._last[key] = expected
-            fits = group.length >= expected if known.direction == "rpdo" else group.length == expected
+            fits = group.length >= expected if pdo_map.direction == "rpdo" else group.length == expected
             changes = np.flatnonzero(np.diff(fits, prepend=self._fits.get(key, True)))
             self._fits[key] = bool(fits[-1])
             for i, behind in pairwise([*changes.tolist(), len(group)]):
                 t_ns, row = int(group.t_ns[i]), int(group.rows[i])
                 if fits[i]:
-                    self.clues.end("pdo_length", known.node, t_ns, "the length fits again", subject=key)
+                    self.clues.end("pdo_length", pdo_map.node, t_ns, "the length fits again", subject=key)
                     continue
-                text = f"{known.name} ({key:03X}h) has {group.length[i]} bytes, its map ({known.source}) {expected}"
-                clue = self.clues.begin("pdo_length", known.node, t_ns, text, row=row, subject=key)
+                text = f"{pdo_map.name} ({key:03X}h) has {group.length[i]} bytes, its map ({pdo_map.source}) {expected}"
+                clue = self.clues.begin("pdo_length", pdo_map.node, t_ns, text, row=row, subject=key)
                 clue.count += behind - i - 1
             if not fits[0] and (not len(changes) or changes[0] > 0):
-                self.clues.more("pdo_length", known.node, int(changes[0]) if len(changes) else len(group), subject=key)
+                self.clues.more(
+                    "pdo_length", pdo_map.node, int(changes[0]) if len(changes) else len(group), subject=key
+                )
 
     def _service(self, key: int, group: Frames) -> None:
         """Note frames of a service of CiA 301 with a length that it does not have."""
-        name, least, most = _service_of(key)
-        wrong = np.flatnonzero((group.length < least) | (group.length > most))
-        if not name or not len(wrong):
+        name, shortest, longest = _service_of(key)
+        unfit = np.flatnonzero((group.length < shortest) | (group.length > longest))
+        if not name or not len(unfit):
             return
-        expected = f"{least}" if least == most else f"{least} or {most}"
+        expected = f"{shortest}" if shortest == longest else f"{shortest} or {longest}"
 
         def text(i: int) -> str:
-            return f"{name} ({key:03X}h) with {group.length[wrong[i]]} bytes, expected {expected}"
+            return f"{name} ({key:03X}h) with {group.length[unfit[i]]} bytes, expected {expected}"
 
         is_request = CobId.SDO_RX <= key < CobId.HEARTBEAT  # a client sends it
         node = key & 0x7F if is_request else self.bus.sender(key)
-        clue = self.clues.series("service_length", node, group.t_ns[wrong], group.rows[wrong], text, subject=key)
+        clue = self.clues.series("service_length", node, group.t_ns[unfit], group.rows[unfit], text, subject=key)
         if clue is not None and is_request:
             clue.who = "client"
 

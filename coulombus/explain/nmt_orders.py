@@ -79,8 +79,8 @@ class Orders:
             place = int(t_ns.searchsorted(due_ns))
             if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] > until_ns:
                 continue
-            told = (number, since_ns) in self._told
-            if not told and self.bus.ordered(number, min(started_ns, since_ns), int(t_ns[place])) is None:
+            is_noted = (number, since_ns) in self._told
+            if not is_noted and self.bus.ordered(number, min(started_ns, since_ns), int(t_ns[place])) is None:
                 self._told.add((number, since_ns))
                 text = "set-points come to it, and no command starts it: it stays PRE-OPERATIONAL"
                 clue = self.clues.begin("not_started", number, since_ns, text, due_ns=due_ns)

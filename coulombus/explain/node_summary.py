@@ -46,9 +46,9 @@ def summary_of(bus: Bus, number: int, well: bool) -> NodeSummary:
     node, duration_ns = bus.nodes[number], max(bus.last_ns - max(bus.first_ns, 0), 1)
     sent = {key: count for key, count in bus.counts.items() if bus.sender(key) == number}
     maps = {
-        known.source
-        for known in bus.maps.values()
-        if known.node == number and known.fields and known.can_id in bus.counts
+        pdo_map.source
+        for pdo_map in bus.maps.values()
+        if pdo_map.node == number and pdo_map.fields and pdo_map.can_id in bus.counts
     }
     return NodeSummary(
         number=number,

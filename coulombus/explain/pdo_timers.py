@@ -27,28 +27,28 @@ class PdoTimers:
     def take(self, block: Block) -> None:
         """Process a block."""
         for key, group in block.groups.items():
-            known = self.bus.maps.get(key)
-            if known is None or known.synchronous or not (known.event_ns or known.inhibit_ns):
+            pdo_map = self.bus.maps.get(key)
+            if pdo_map is None or pdo_map.synchronous or not (pdo_map.event_ns or pdo_map.inhibit_ns):
                 continue
-            self._hold(key, group, known)
+            self._hold(key, group, pdo_map)
             self._last_ns[key] = int(group.t_ns[-1])
 
-    def _hold(self, key: int, group: Frames, known: Map) -> None:
+    def _hold(self, key: int, group: Frames, pdo_map: Map) -> None:
         before = self._last_ns.get(key)
         stamps = group.t_ns if before is None else np.concatenate(([before], group.t_ns))
         gaps, first = np.diff(stamps), len(stamps) - len(group)
-        soon = gaps < SOON * known.inhibit_ns
-        late = (gaps > LATE * known.event_ns) & (gaps < STOPPED * known.event_ns) & (known.event_ns > 0)
-        for kind, which, limit in (("inhibit_time", soon, known.inhibit_ns), ("event_timer", late, known.event_ns)):
+        soon = gaps < SOON * pdo_map.inhibit_ns
+        late = (gaps > LATE * pdo_map.event_ns) & (gaps < STOPPED * pdo_map.event_ns) & (pdo_map.event_ns > 0)
+        for kind, which, limit in (("inhibit_time", soon, pdo_map.inhibit_ns), ("event_timer", late, pdo_map.event_ns)):
             places = np.flatnonzero(which)
             setting = "inhibit time"
             if kind == "event_timer":
                 setting = "event timer"
-                ordered = [self.bus.ordered(known.node, *stamps[i : i + 2].tolist()) is not None for i in places]
+                ordered = [self.bus.ordered(pdo_map.node, *stamps[i : i + 2].tolist()) is not None for i in places]
                 places = places[~np.array(ordered, bool)]
 
             def text(i: int, at: Integers = places, limit_ms: float = limit / MS, setting: str = setting) -> str:
-                return f"{known.name} comes after {gaps[at[i]] / MS:.1f} ms; its {setting} is {limit_ms:g} ms"
+                return f"{pdo_map.name} comes after {gaps[at[i]] / MS:.1f} ms; its {setting} is {limit_ms:g} ms"
 
             rows = group.rows[np.maximum(places + 1 - first, 0)]
-            self.clues.series(kind, known.node, stamps[places + 1], rows, text, subject=key)
+            self.clues.series(kind, pdo_map.node, stamps[places + 1], rows, text, subject=key)

@@ -92,11 +92,11 @@ class PdoTiming:
     def _is_watched(self, key: int) -> bool:
         return key in self.bus.maps or (key <= 0x7FF and not SDO_TX <= key < 0x680 and key != SYNC)
 
-    def _identify(self, pdo: SeenPdo, known: Map | None) -> None:
+    def _identify(self, pdo: SeenPdo, pdo_map: Map | None) -> None:
         """Set node, name and type by the present map, else by the identifier."""
-        if known is not None:
-            pdo.node, pdo.name, pdo.sends = known.node, known.name, known.direction == "tpdo"
-            pdo.synchronous, pdo.event_ns = known.each_sync, known.event_ns
+        if pdo_map is not None:
+            pdo.node, pdo.name, pdo.sends = pdo_map.node, pdo_map.name, pdo_map.direction == "tpdo"
+            pdo.synchronous, pdo.event_ns = pdo_map.each_sync, pdo_map.event_ns
         else:
             pdo.node, pdo.name, pdo.sends = pdo.key & 0x7F or None, f"PDO {pdo.key:03X}h", bool(pdo.key & 0x080)
 
@@ -127,11 +127,11 @@ class PdoTiming:
         """Learn the period of a PDO that does not follow SYNC, and note its stops."""
         if pdo.synchronous and pdo.stopped:
             self._comes(pdo, int(group.t_ns[0]))
-        own = stamps[1:] < pdo.followed_ns
-        if not (pdo.synchronous or pdo.moves) and own.any():
-            number = int(own.sum())
+        before_following = stamps[1:] < pdo.followed_ns
+        if not (pdo.synchronous or pdo.moves) and before_following.any():
+            number = int(before_following.sum())
             self._own_gaps(pdo, group, stamps[: number + 1], gaps[:number], equal[:number])
-        if pdo.synchronous or not own.all():
+        if pdo.synchronous or not before_following.all():
             pdo.period_ns = 0
 
     def _own_gaps(self, pdo: SeenPdo, group: Frames, stamps: Integers, gaps: Integers, equal: Flags) -> None:

@@ -180,11 +180,11 @@ class SdoTransfers:
 
     def missing(self) -> list[Clue]:
         """Return the nodes that were asked and never sent a frame, but for those of a scan."""
-        asked = {n: self._unanswered(server) for n, server in self._servers.items() if n not in self.bus.nodes}
-        absent = [n for n, requests in asked.items() if requests]
+        unanswered = {n: self._unanswered(server) for n, server in self._servers.items() if n not in self.bus.nodes}
+        absent = [n for n, requests in unanswered.items() if requests]
         clues = []
         for number in absent if len(absent) < SCAN else ():
-            requests = asked[number]
+            requests = unanswered[number]
             number_of = "an SDO request" if len(requests) == 1 else f"{len(requests)} SDO requests"
             text, first = f"{number_of} to it, and no frame of it in the log", requests[0]
             clues.append(Clue("node_missing", number, first.t_ns, text, due_ns=first.t_ns, rows=[first.row]))
@@ -218,7 +218,7 @@ class SdoTransfers:
         self._next_ns = min(self._next_ns, request.t_ns + ANSWER_NS)
 
     def _answer(self, row: int, t_ns: int, number: int, server: _Server, data: bytes, phase: str) -> None:
-        request = next((asked for asked in server.waiting if asked.fits(data, phase)), None)
+        request = next((pending for pending in server.waiting if pending.fits(data, phase)), None)
         if request is None:
             self._unasked(row, t_ns, number, server, data, phase)
             return
@@ -270,10 +270,10 @@ class SdoTransfers:
             text = f"two answers that differ to one request of {self._object(number, server.answer)}"
             self.clues.begin("duplicate_node", number, t_ns, text, row=row, subject="sdo")
         elif server.waiting:
-            asked = server.waiting[-1]
-            asked.misanswered = True
-            text = f"asked about {where(*asked.at)}, it answered about {self._object(number, data)}"
-            self.clues.begin("sdo_wrong_object", number, asked.t_ns, text, row=row)
+            request = server.waiting[-1]
+            request.misanswered = True
+            text = f"asked about {where(*request.at)}, it answered about {self._object(number, data)}"
+            self.clues.begin("sdo_wrong_object", number, request.t_ns, text, row=row)
         elif server.answered is not None:
             self._stray(row, t_ns, number, server, f"about {self._object(number, data)}")
 
@@ -354,10 +354,10 @@ class SdoTransfers:
         elif running is not None and (server.kind == "block" or not server.last_by_server):
             self._gave_up(number, server, running, t_ns, "the client gave up within the transfer")
         elif server.answered is not None and t_ns - server.answer_ns < LATE_NS:
-            asked = server.answered
-            took, waited = (server.answer_ns - asked.t_ns) / 1e6, (t_ns - asked.t_ns) / 1e6
-            text = f"{self._object(number, asked.data)}: answered after {took:.4g} ms, and the client gave up after {waited:.4g} ms"
-            self.clues.begin("sdo_not_taken", number, asked.t_ns, text, row=row)
+            answered = server.answered
+            took, waited = (server.answer_ns - answered.t_ns) / 1e6, (t_ns - answered.t_ns) / 1e6
+            text = f"{self._object(number, answered.data)}: answered after {took:.4g} ms, and the client gave up after {waited:.4g} ms"
+            self.clues.begin("sdo_not_taken", number, answered.t_ns, text, row=row)
             server.answered = None
 
     def _gave_up(

@@ -228,20 +228,20 @@ class SyncIntervals:
         before = pdo.streak - (end - start)  # of the streak, before `start`
         if pdo.synchronous:
             return min(start + max(ACTIVE - 1 - before, 0), end)
-        found = end
+        first_regular = end
         if pdo.streak >= CHANCE:
             equal = np.flatnonzero(np.cumsum(frames.equal) + pdo.equal >= EQUAL)
             first = len(frames.place) - len(frames.equal)
             repeated = 0 if pdo.equal >= EQUAL else int(frames.place[first + equal[0]]) if len(equal) else end
-            found = min(max(start + CHANCE - 1 - before, start, repeated), end)
+            first_regular = min(max(start + CHANCE - 1 - before, start, repeated), end)
         latencies = np.concatenate((pdo.latencies, frames.latency))
         behind = len(pdo.latencies) + int(frames.place.searchsorted(start)) - (frames.carried and start == 0)
         for streak in range(LONG, pdo.streak + 1, CHANCE):
-            if before < streak <= before + found - start:
+            if before < streak <= before + first_regular - start:
                 until = behind + streak - before
                 if float(np.std(latencies[max(until - CHANCE, 0) : until])) < STEADY * self.bus.sync_period_ns:
                     return start + streak - before - 1
-        return found
+        return first_regular
 
     @property
     def _at_once_ns(self) -> int:
@@ -324,9 +324,9 @@ class SyncIntervals:
 
     def _latency(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
         """Note PDOs that come much later after SYNC than usual."""
-        known = (frames.place >= 0) & frames.first & (frames.latency < GAP * self.bus.sync_period_ns)
+        usable = (frames.place >= 0) & frames.first & (frames.latency < GAP * self.bus.sync_period_ns)
         for begin, end in pdo.spans:
-            inside = np.flatnonzero(known & (group.t_ns >= begin) & (group.t_ns < end))
+            inside = np.flatnonzero(usable & (group.t_ns >= begin) & (group.t_ns < end))
             self._late(pdo, group, inside, frames.latency[inside].astype(float))
             if end < NEVER:
                 pdo.usual_ns, pdo.learned = -1.0, []

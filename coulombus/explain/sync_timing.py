@@ -209,13 +209,13 @@ class SyncTiming:
         """Note SYNCs that lead their period more and more; a SYNC that was late and is caught up does not."""
         period = self.bus.sync_period_ns
         lead = self._lead_ns + np.cumsum(period - np.minimum(gaps, self._limit_ns))
-        known = np.concatenate((self._leads, lead))
-        most = np.maximum.accumulate(np.concatenate(([self._most_ns], known)))
-        earlier = most[np.maximum(np.arange(len(most) - len(lead), len(most)) - BEHIND, 0)]
+        leads = np.concatenate((self._leads, lead))
+        peak_leads = np.maximum.accumulate(np.concatenate(([self._most_ns], leads)))
+        earlier = peak_leads[np.maximum(np.arange(len(peak_leads) - len(lead), len(peak_leads)) - BEHIND, 0)]
         often = self._near.counts(gaps < CLOSE * period) >= NEAR
         ahead = np.flatnonzero((lead - earlier > AHEAD * period) & often)
-        self._lead_ns, self._leads = int(lead[-1]), known[-BEHIND:]
-        self._most_ns = int(most[max(len(most) - 1 - BEHIND, 0)])
+        self._lead_ns, self._leads = int(lead[-1]), leads[-BEHIND:]
+        self._most_ns = int(peak_leads[max(len(peak_leads) - 1 - BEHIND, 0)])
         for i in np.flatnonzero(gaps < CLOSE * period).tolist():
             self._even(self._number + i, int(stamps[i]))
             if self._close is None:

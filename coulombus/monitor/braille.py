@@ -33,8 +33,8 @@ def drawn(low: Floats, high: Floats, width: int, height: int) -> tuple[list[str]
     seen = np.isfinite(low) & np.isfinite(high)
     if not columns or not seen.any():
         return [" " * width] * height, 0.0, 0.0
-    least, most = float(low[seen].min()), float(high[seen].max())
-    span = (most - least) or 1.0
+    least, greatest = float(low[seen].min()), float(high[seen].max())
+    span = (greatest - least) or 1.0
     edges = np.linspace(0, len(low), columns + 1).astype(int)
     cells = np.zeros((height, width), np.int64)
     for column, (begin, end) in enumerate(pairwise(edges), 2 * width - columns):
@@ -48,4 +48,4 @@ def drawn(low: Floats, high: Floats, width: int, height: int) -> tuple[list[str]
         for dot in range(bottom, top + 1):
             row = rows - 1 - dot
             cells[row // 4, column // 2] |= DOTS[row % 4][column % 2]
-    return ["".join(chr(BLANK + cell) if cell else " " for cell in line) for line in cells], least, most
+    return ["".join(chr(BLANK + cell) if cell else " " for cell in line) for line in cells], least, greatest

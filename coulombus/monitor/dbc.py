@@ -55,10 +55,10 @@ def file_encoding(suffix: str) -> dict[str, str]:
 
 def database_text(bus: KnownBus, suffix: str = ".dbc", *, bits: bool = False) -> str:
     """Return the text of a file of a kind of `WRITERS`; `bits` as for `database`."""
-    made = database(bus, bits=bits)
+    bus_database = database(bus, bits=bits)
     if suffix == ".sym":
-        _rename_alike(made)
-    text: str = getattr(made, WRITERS[suffix])()
+        _rename_alike(bus_database)
+    text: str = getattr(bus_database, WRITERS[suffix])()
     return text.replace("\r\n", "\n")
 
 
@@ -82,14 +82,14 @@ def _rename_alike(database: Database) -> None:
     """Prefix signals with their message's name where another one of that name is otherwise: a SYM file has
     one list of signals for all messages.
     """
-    known: dict[str, tuple[object, ...]] = {}
+    first_forms: dict[str, tuple[object, ...]] = {}
     for message in database.messages:
         for signal in message.signals:
-            of = (
+            form = (
                 *(signal.length, signal.is_signed, signal.is_float, signal.scale, signal.offset),
                 *(signal.unit, signal.comment, str(signal.choices)),
             )
-            if known.setdefault(signal.name, of) != of:
+            if first_forms.setdefault(signal.name, form) != form:
                 signal.name = f"{message.name}_{signal.name}"
 
 
@@ -146,15 +146,15 @@ def _signals(
     if parts:
         return
     scale, offset = _whole(signal.scale), _whole(signal.offset)
-    least, most = _range(entry, scale, offset)
+    minimum, maximum = _range(entry, scale, offset)
     yield Signal(
         name=name,
         start=start,
         length=entry.bits,
         is_signed=entry.signed,
         conversion=BaseConversion.factory(scale=scale, offset=offset, is_float=entry.kind == "real"),
-        minimum=least,
-        maximum=most,
+        minimum=minimum,
+        maximum=maximum,
         unit=dbc(xml(signal.unit or _unit(entry, signal))) or None,
         receivers=receivers,
         comment=comment,

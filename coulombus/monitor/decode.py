@@ -181,7 +181,7 @@ def _row_template(row: Row, table: PdoTable) -> str:
     return "%14.6f" + _head(row)[len(_time_text(0.0)) :].replace("%", "%%") + " " + "  ".join(items)
 
 
-def bare_rows(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> Iterator[Row]:
+def bare_rows(path: Path, channel: Channel, bus: KnownBus, remarks: list[str]) -> Iterator[Row]:
     """Yield one dict for each frame of a log without a rig, in the file's order; then add what was left out to `remarks`.
 
     Nodes are numbers. A PDO has its mapped objects by index where the log or an EDS file shows its
@@ -194,7 +194,7 @@ def bare_rows(path: Path, channel: Channel, known: KnownBus, remarks: list[str])
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    decoder, epoch_ns = BareDecoder(known), None
+    decoder, epoch_ns = BareDecoder(bus), None
     for capture in captures_of_bus(path, channel, remarks):
         comments = dict(capture.comments)
         epoch_ns = capture.origin_ns if epoch_ns is None else epoch_ns
@@ -208,8 +208,8 @@ def bare_rows(path: Path, channel: Channel, known: KnownBus, remarks: list[str])
 class BareDecoder:
     """Decodes frames without a rig, as they come: an SDO transfer and a PDO's map depend on those before."""
 
-    def __init__(self, known: KnownBus) -> None:
-        self._services, self._maps, self._pdos = _Services(known), LogMaps(known.eds), dict[int, RigPdo]()
+    def __init__(self, bus: KnownBus) -> None:
+        self._services, self._maps, self._pdos = _Services(bus), LogMaps(bus.eds), dict[int, RigPdo]()
 
     def rows(self, frames: Records, epoch_ns: int = 0) -> Iterator[Row]:
         """Yield one dict for each frame; `epoch_ns` is the time 0 of `t_s`."""
@@ -221,13 +221,13 @@ class BareDecoder:
             columns = ((part["t_ns"] - epoch_ns) / 1e9, part["can_id"], part["length"], part["word"])
             for t_s, can_id, length, word in zip(*(c.tolist() for c in columns), strict=True):
                 row = self._services.row(t_s, can_id, length, word)
-                known = maps.pdo(can_id)
-                if known is not None:
-                    row |= {"node": str(known.node), "pdo": known.name, "service": "pdo"}
+                pdo_map = maps.pdo(can_id)
+                if pdo_map is not None:
+                    row |= {"node": str(pdo_map.node), "pdo": pdo_map.name, "service": "pdo"}
                     if can_id not in pdos:
-                        pdos[can_id] = maps.rig_pdo(known)
+                        pdos[can_id] = maps.rig_pdo(pdo_map)
                     row |= _objects(pdos[can_id], word, length)
-                    row |= {"map": "assumed"} if known.source == "assumed" else {}
+                    row |= {"map": "assumed"} if pdo_map.source == "assumed" else {}
                 yield row
 
 
@@ -243,12 +243,12 @@ def _objects(pdo: RigPdo, word: int, length: int) -> Row:
 class _Services:
     """Decodes frames other than the rig's PDOs; without a rig, every frame, with the names of EDS files."""
 
-    def __init__(self, known: KnownBus) -> None:
-        nodes = () if known.rig is None else known.rig.nodes
-        self._names = known.names
-        self._descriptions = {node.node_id: node.description for node in nodes} | known.eds.of_nodes
+    def __init__(self, bus: KnownBus) -> None:
+        nodes = () if bus.rig is None else bus.rig.nodes
+        self._names = bus.names
+        self._descriptions = {node.node_id: node.description for node in nodes} | bus.eds.of_nodes
         self._emergencies = {node.emcy_id: node.name for node in nodes}
-        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if known.rig is None else known.pdos)}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in (() if bus.rig is None else bus.pdos)}
         self._servers: dict[int, SdoChannel] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:

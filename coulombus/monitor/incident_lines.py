@@ -87,11 +87,11 @@ class OpenedIncident:
         return self.key
 
 
-def news(rows: Sequence[IncidentRow], known: dict[str, str], begin_ns: int) -> Iterator[str]:
-    """Yield a line for each new incident and each change of state; `known` keeps the states."""
+def news(rows: Sequence[IncidentRow], statuses: dict[str, str], begin_ns: int) -> Iterator[str]:
+    """Yield a line for each new incident and each change of state; `statuses` keeps the states."""
     for row in rows:
-        if known.get(row.key) != row.status:
-            known[row.key] = row.status
+        if statuses.get(row.key) != row.status:
+            statuses[row.key] = row.status
             mark = "!" if row.status == "unresolved" else "*"
             at = (row.begin_ns - begin_ns) / 1e9
             yield f"{at:10.3f}  {mark} incident {row.number}, {row.status}: {row.title}; check: {row.checks[0]}"

@@ -90,9 +90,9 @@ class Live:
         The rig is a guess: PDOs are learned, too, and used when the bus turns out to be another rig's.
     """
 
-    def __init__(self, known: KnownBus, *, assumed: bool = False) -> None:
-        rig = self.rig = known.rig
-        self._learned = LogMaps(known.eds) if rig is None or assumed else None
+    def __init__(self, bus: KnownBus, *, assumed: bool = False) -> None:
+        rig = self.rig = bus.rig
+        self._learned = LogMaps(bus.eds) if rig is None or assumed else None
         self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
         self._lines: dict[int, _Line] = {}
         self._sync = self._lines[CobId.SYNC] = _Line()

@@ -57,8 +57,8 @@ class LiveIncidents:
         Names and PDO maps of a rig, and EDS files.
     """
 
-    def __init__(self, known: KnownBus) -> None:
-        self._explainer = Explainer(known)
+    def __init__(self, bus: KnownBus) -> None:
+        self._explainer = Explainer(bus)
 
     def take(self, block: Block) -> None:
         """Process frames."""
@@ -100,12 +100,12 @@ class IncidentReader(ViewThread):
     rows : the incidents at the last look
     """
 
-    def __init__(self, known: KnownBus) -> None:
+    def __init__(self, bus: KnownBus) -> None:
         super().__init__("incident reader")
         self.rows: tuple[IncidentRow, ...] = ()
         self.failure = ""
         """Reason why it stopped; empty while it runs."""
-        self._incidents = LiveIncidents(known)
+        self._incidents = LiveIncidents(bus)
         self._lock = threading.Lock()
         self._waiting: list[Block] = []
         self._frames = 0

@@ -34,8 +34,8 @@ def as_lines(pdo: RigPdo, now: PdoRow | None = None) -> Iterator[str]:
         bits = f"{start}-{start + entry.bits - 1}" if entry.bits > 1 else str(start)
         place, scale = f"{entry.index:04X}h:{entry.subindex}", f"{signal.scale:.6g}" if signal.unit else ""
         offset = f"{signal.offset:+.6g}" if signal.offset else ""
-        said = f"{scale}{offset}" if now is None else _value(values.get(signal.name))
-        yield f"     {bits:>5}  {place:<9} {signal.name:<32} {signal.unit:<7} {said}".rstrip()
+        value_text = f"{scale}{offset}" if now is None else _value(values.get(signal.name))
+        yield f"     {bits:>5}  {place:<9} {signal.name:<32} {signal.unit:<7} {value_text}".rstrip()
         for part in word_fields(entry.index):
             first = start + part.start
             of = f"{first}-{first + part.bits - 1}" if part.bits > 1 else str(first)

@@ -189,10 +189,10 @@ def _words(snapshot: Snapshot) -> Iterator[str]:
 
 def _scope(trace: Trace, width: int, height: int) -> list[Text]:
     """Return a signal's plot: a line with its range, and `height` lines of dots."""
-    lines, least, most = drawn(trace.low, trace.high, width, height)
+    lines, least, greatest = drawn(trace.low, trace.high, width, height)
     seen = next((k for k in range(len(trace.low) - 1, -1, -1) if trace.low[k] == trace.low[k]), None)
     unit = f" {trace.unit}" if trace.unit else ""
-    range_ = "none came" if seen is None else f"{least:+.5g} to {most:+.5g}{unit}"
+    range_ = "none came" if seen is None else f"{least:+.5g} to {greatest:+.5g}{unit}"
     return [
         Text(f"{trace.name}  {range_}  ({WINDOW_S:g} s)", style="bold"),
         *(Text(line, style="green") for line in lines),
@@ -240,11 +240,11 @@ def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str | Text, ...], 
     Empty without rows.
     """
     wide = {c: max(len(c.title), c.least, *(len(cells[c.key]) for cells, _ in rows)) for c in columns} if rows else {}
-    kept: set[_Column] = set()
+    fitting: set[_Column] = set()
     for column in sorted(wide, key=lambda c: c.order):
-        if column.order == 0 or sum(wide[c] + SPACE for c in kept) + wide[column] <= width:
-            kept.add(column)
-    shown = [column for column in columns if column in kept]
+        if column.order == 0 or sum(wide[c] + SPACE for c in fitting) + wide[column] <= width:
+            fitting.add(column)
+    shown = [column for column in columns if column in fitting]
 
     def line(cells: Sequence[str | Text], style: str) -> Text:
         text = Text(style=style)

@@ -101,8 +101,10 @@ def lss(data: bytes, from_device: bool) -> Row:
     if service == LssService.CONFIGURE_NODE_ID:
         return row | {"node_id": data[1]}
     if service == LssService.CONFIGURE_BIT_TIMING:
-        known = BIT_RATES.get(data[2]) if data[1] == 0 else None
-        return row | ({"table": data[1], "entry": data[2]} if known is None else {"bitrate_bit_s": known})
+        bitrate_bit_s = BIT_RATES.get(data[2]) if data[1] == 0 else None
+        return row | (
+            {"table": data[1], "entry": data[2]} if bitrate_bit_s is None else {"bitrate_bit_s": bitrate_bit_s}
+        )
     if service == LssService.ACTIVATE_BIT_TIMING:
         return row | {"delay_ms": struct.unpack_from("<H", data, 1)[0]}
     if service == LssService.FASTSCAN:

@@ -167,12 +167,12 @@ def recorded(source: Source) -> dict[str, Stamps]:
     for block in source:
         t_ns, can_ids = block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64)
         for channel in channels:
-            there = block.capture.frames_on(channel)
-            stamps[channel].take_all(t_ns[there], can_ids[there])
+            on_channel = block.capture.frames_on(channel)
+            stamps[channel].take_all(t_ns[on_channel], can_ids[on_channel])
     return stamps
 
 
-def recorded_bare(path: Path, channel: Channel, known: KnownBus, remarks: list[str]) -> tuple[KnownBus, Stamps]:
+def recorded_bare(path: Path, channel: Channel, bus: KnownBus, remarks: list[str]) -> tuple[KnownBus, Stamps]:
     """Return what a log without a rig tells of one bus, and its stamps; add what was left out to `remarks`.
 
     Raises
@@ -182,7 +182,7 @@ def recorded_bare(path: Path, channel: Channel, known: KnownBus, remarks: list[s
     coulombus.recording.log_files.LogError
         It has no frame.
     """
-    stamps, maps = Stamps(), LogMaps(known.eds)
+    stamps, maps = Stamps(), LogMaps(bus.eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
         maps.take(frames)

@@ -71,7 +71,7 @@ EVERYTHING = LiveView()
 
 
 def watch(
-    known: KnownBus,
+    bus: KnownBus,
     address: BusAddress,
     view: LiveView = EVERYTHING,
     *,
@@ -83,7 +83,7 @@ def watch(
 
     Parameters
     ----------
-    known : without a rig, nodes are numbers, and PDOs are learned from the frames and EDS files
+    bus : without a rig, nodes are numbers, and PDOs are learned from the frames and EDS files
     host : returns the state of the bus' host, or the end of the last one, or None; called twice a
         second in a separate thread
 
@@ -95,9 +95,9 @@ def watch(
         the rig has no signal of ``view.scope``
     """
     console = console or PrintableConsole()
-    live = Live(known, assumed=view.assumed)
-    traces = None if known.rig is None else Traces(known.rig, view.scope)
-    incidents = IncidentReader(known)
+    live = Live(bus, assumed=view.assumed)
+    traces = None if bus.rig is None else Traces(bus.rig, view.scope)
+    incidents = IncidentReader(bus)
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
@@ -147,7 +147,7 @@ def watch(
             raise reader.failure
 
 
-def look_once(known: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
+def look_once(bus: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
     """Listen to a bus for some time; return a snapshot. Nothing is sent.
 
     Raises
@@ -155,7 +155,7 @@ def look_once(known: KnownBus, address: BusAddress, seconds: float) -> Snapshot:
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    live = Live(known)
+    live = Live(bus)
     live.snapshot(time.time_ns())
     hello, lock = Hello(Flags.LISTEN_ONLY | Flags.ERRORS), threading.Lock()
     with open_bus(address, hello) as client, StopSignals() as stop, BusReader(client, live, lock) as reader:
@@ -242,13 +242,13 @@ def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[_D
 
 @contextmanager
 def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[_Draw]:
-    known: dict[str, str] = {}
+    statuses: dict[str, str] = {}
 
     def draw(snapshot: Snapshot, facts: dict[str, Any], incidents: Sequence[IncidentRow]) -> None:
         if view.as_json:
             sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns, incidents), allow_nan=False) + "\n")
         else:
-            lines = [*news(incidents, known, begin_ns), *as_lines(snapshot, facts, begin_ns, view.all_nodes)]
+            lines = [*news(incidents, statuses, begin_ns), *as_lines(snapshot, facts, begin_ns, view.all_nodes)]
             sys.stdout.write("".join(printable(line) + "\n" for line in lines))
         sys.stdout.flush()
 

@@ -136,8 +136,8 @@ def _check_tolerances(recording: Recording, tolerances: Mapping[str, float], uni
             try:
                 recording.signal(name)
             except UnknownSignal as error:
-                known = ", ".join(sorted({unit for unit in units.values() if unit}))
-                raise UnknownSignal(f"a tolerance for {name!r}: {error}; or a unit: {known}") from None
+                unit_names = ", ".join(sorted({unit for unit in units.values() if unit}))
+                raise UnknownSignal(f"a tolerance for {name!r}: {error}; or a unit: {unit_names}") from None
 
 
 def _tolerance(name: str, unit: str, tolerances: Mapping[str, float]) -> float | None:

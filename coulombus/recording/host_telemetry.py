@@ -129,10 +129,10 @@ def inside_pdos(rig: Rig, attached: bytes | None) -> tuple[RigPdo, ...]:
         return ()
     try:
         names = json.loads(attached)
-        kept = [_real(f"law.{name}") for name in names if isinstance(name, str)][: 2 * (OF_WORLD - len(HEAD))]
+        law_fields = [_real(f"law.{name}") for name in names if isinstance(name, str)][: 2 * (OF_WORLD - len(HEAD))]
     except (ValueError, TypeError):
         return ()
-    pairs = tuple(tuple(kept[k : k + 2]) for k in range(0, len(kept), 2))
+    pairs = tuple(tuple(law_fields[k : k + 2]) for k in range(0, len(law_fields), 2))
     return tuple(
         _pdo(rig, axis.prefix, FIRST + PER_AXIS * number, k, fields)
         for number, axis in enumerate(rig.axes)

@@ -86,10 +86,11 @@ DESCRIPTION = re.compile(rb"^\[(FileInfo|DeviceInfo)\]|<ISO15745Profile", re.MUL
 """Near the begin of an EDS, DCF or XDD file."""
 NEAR_BEGIN = 4096
 SECTION_MARK = struct.pack("<I", SECTION_HEADER)
-SECTION_ORDERS = {struct.pack(order + "I", BYTE_ORDER_MAGIC): order for order in "<>"}
+SECTION_ORDERS = {struct.pack(byte_order + "I", BYTE_ORDER_MAGIC): byte_order for byte_order in "<>"}
 KINDS = (SECTION_HEADER, INTERFACE, PACKET, SIMPLE_PACKET, ENHANCED_PACKET, ATTACHMENT)
 KNOWN_BLOCK = {
-    order: re.compile(b"|".join(re.escape(struct.pack(order + "I", kind)) for kind in KINDS)) for order in "<>"
+    byte_order: re.compile(b"|".join(re.escape(struct.pack(byte_order + "I", kind)) for kind in KINDS))
+    for byte_order in "<>"
 }
 ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"
@@ -137,14 +138,14 @@ def option(code: int, value: bytes) -> bytes:
     return struct.pack("<HH", code, len(value)) + value + bytes(-len(value) % 4)
 
 
-def iter_options(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+def iter_options(data: bytes, byte_order: str) -> Iterator[tuple[int, bytes]]:
     """Yield (code, value) of the options in `data`; an incomplete last option ends the iteration.
 
-    `order` is "<" or ">".
+    `byte_order` is "<" or ">".
     """
     at = 0
     while at + 4 <= len(data):
-        code, size = struct.unpack_from(order + "HH", data, at)
+        code, size = struct.unpack_from(byte_order + "HH", data, at)
         if code == OPT_END or at + 4 + size > len(data):
             return
         yield code, data[at + 4 : at + 4 + size]
@@ -172,17 +173,17 @@ class TooLarge:
     """Placeholder for an attachment that is too large."""
 
 
-def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes] | str | TooLarge | None:
+def read_attachment(body: bytes, most_bytes: int = 4 * MAX_BLOCK) -> tuple[str, bytes] | str | TooLarge | None:
     """Return name and content of an attachment; a sentence if it is damaged; None if it is not coulombus'.
 
-    An attachment of more than `most` bytes, uncompressed, is `TooLarge` and stays packed.
+    An attachment of more than `most_bytes` bytes, uncompressed, is `TooLarge` and stays packed.
     """
     if len(body) < ATTACHMENT_HEAD.size or not body.startswith(ATTACHMENT_MAGIC):
         return None
     _, digest, size, label_size, packed_size = ATTACHMENT_HEAD.unpack_from(body)
     start = ATTACHMENT_HEAD.size + label_size
     name = body[ATTACHMENT_HEAD.size : start].decode(errors="replace")
-    if size > most:
+    if size > most_bytes:
         return TooLarge()
     try:
         content = zlib.decompressobj().decompress(body[start : start + packed_size], min(size, 4 * MAX_BLOCK) + 1)
@@ -193,18 +194,20 @@ def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes]
     return name, content
 
 
-def next_block(data: bytes, begin: int, order: str, longest: int) -> int | None:
+def next_block(data: bytes, begin: int, byte_order: str, longest: int) -> int | None:
     """Return the offset of the first complete block of a known type in `data` from byte `begin`, or of a
     section, which may have the other byte order; it has at most `longest` bytes.
     """
-    for match in KNOWN_BLOCK[order].finditer(data, begin):
+    for match in KNOWN_BLOCK[byte_order].finditer(data, begin):
         place = match.start()
         size = data[place + 4 : place + 8]
         magic = data[place + 8 : place + 12]
         is_section = match[0] == SECTION_MARK
         if is_section and magic not in SECTION_ORDERS:
             continue
-        length = int.from_bytes(size, "little" if (SECTION_ORDERS[magic] if is_section else order) == "<" else "big")
+        length = int.from_bytes(
+            size, "little" if (SECTION_ORDERS[magic] if is_section else byte_order) == "<" else "big"
+        )
         whole = 12 <= length <= longest and length % 4 == 0 and place + length <= len(data)
         if whole and data[place + length - 4 : place + length] == size:
             return place

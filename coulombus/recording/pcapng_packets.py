@@ -82,19 +82,19 @@ class Interface:
         return INSIDE if self.inside else BUS
 
 
-def read_interface(body: bytes, order: str, *, own: bool) -> Interface:
+def read_interface(body: bytes, byte_order: str, *, own: bool) -> Interface:
     """Return the interface of a block's body, 8 bytes at least.
 
     Parameters
     ----------
     own : whether it is of a recording of this project, whose stamps count from its own time 0
     """
-    linktype, resolution, offset_s, name = struct.unpack_from(order + "H", body)[0], 6, 0, ""
-    for code, value in iter_options(body[8:], order):
+    linktype, resolution, offset_s, name = struct.unpack_from(byte_order + "H", body)[0], 6, 0, ""
+    for code, value in iter_options(body[8:], byte_order):
         if code == IF_TSRESOL and len(value) == 1:
             resolution = value[0]
         elif code == IF_TSOFFSET and len(value) == 8:
-            offset_s = 0 if own else struct.unpack(order + "q", value)[0]
+            offset_s = 0 if own else struct.unpack(byte_order + "q", value)[0]
         elif code == IF_NAME:
             name = value.decode(errors="replace")
     return Interface(linktype, resolution, offset_s, name == HOST_INTERFACE, name)
@@ -154,10 +154,10 @@ def walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int,
         at = after
 
 
-def column(words: Words, at: Integers, order: str) -> Integers:
+def column(words: Words, at: Integers, byte_order: str) -> Integers:
     """Return the words at `at`, in the section's byte order ("<" or ">")."""
     selection = words[at]
-    return (selection.byteswap() if order == ">" else selection).astype(np.int64)
+    return (selection.byteswap() if byte_order == ">" else selection).astype(np.int64)
 
 
 @inlined
@@ -228,7 +228,9 @@ def _unpack(
 _ENTRY = Entry(_unpack)
 
 
-def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
+def decode_packets(
+    words: Words, at: Integers, byte_order: str, interfaces: Sequence[Interface], earlier: int
+) -> Packets:
     """Decode the enhanced packet blocks that begin at the words `at`.
 
     Packets other than classical CAN frames are omitted, and so are damaged ones: inconsistent
@@ -243,17 +245,19 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     """
     described = len(interfaces)
     if not described:
-        number = column(words, at[:1] + 2, order)[0]  # or what else stands there in a block without it
+        number = column(words, at[:1] + 2, byte_order)[0]  # or what else stands there in a block without it
         raise BadPacketError(4 * int(at[0]), f"a packet on interface {number} where 0 are described")
     roles = np.array([description.role for description in interfaces])
     kinds, options = np.zeros(len(at), np.int64), np.zeros((len(at), 3), np.int64)
     decoded = new_records(Frame, len(at)), new_records(Frame, len(at) if INSIDE in roles else 0)
-    counts = _ENTRY(words, at, int(order == ">"), roles, kinds, *decoded, options)
+    counts = _ENTRY(words, at, int(byte_order == ">"), roles, kinds, *decoded, options)
     frames, inside = (rows[:count].view(np.ndarray) for rows, count in zip(decoded, counts[:2], strict=True))
     options = options[: counts[2]]
     damaged = []
     for torn in at.compress(kinds == TORN).tolist():
-        damaged.append((4 * torn, _torn(column(words, np.arange(torn, min(torn + 6, len(words))), order), described)))
+        damaged.append(
+            (4 * torn, _torn(column(words, np.arange(torn, min(torn + 6, len(words))), byte_order), described))
+        )
     late, late_inside = _stamp(frames, interfaces), _stamp(inside, interfaces)
     for kind, problems in ((BUS, late), (INSIDE, late_inside)):
         places = at.compress(kinds == kind) if problems else at

@@ -308,25 +308,25 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
     start = 4 * at
     if len(reader.data) < start + 12:
         return at, END
-    for order in "<>":
-        length, magic = struct.unpack_from(order + "II", reader.data, start + 4)
+    for byte_order in "<>":
+        length, magic = struct.unpack_from(byte_order + "II", reader.data, start + 4)
         if magic == BYTE_ORDER_MAGIC:
             break
     else:
         raise _damaged(reader, start, f"a section header with the byte-order magic {magic:#x}, expected 0x1a2b3c4d")
-    reader.order = order
+    reader.order = byte_order
     if length < 28 or length % 4 or length > MAX_BLOCK:
         raise _damaged(reader, start, f"a section header of {length} bytes, expected 28 to {MAX_BLOCK}")
     if start + length > len(reader.data):
         return at, END
-    if struct.unpack_from(order + "I", reader.data, start + length - 4)[0] != length:
+    if struct.unpack_from(byte_order + "I", reader.data, start + length - 4)[0] != length:
         raise _damaged(reader, start, _what_is_bad(reader, at))
-    major = struct.unpack_from(order + "H", reader.data, start + 12)[0]
+    major = struct.unpack_from(byte_order + "H", reader.data, start + 12)[0]
     if major != 1:
         where = f"{reader.path}: offset {reader.base + start}"
         raise PcapngError(f"{where}: pcapng version {major}, this reads version 1; convert it")
     reader.own = False
-    for code, value in iter_options(reader.data[start + 24 : start + length - 4], order):
+    for code, value in iter_options(reader.data[start + 24 : start + length - 4], byte_order):
         text = value.decode(errors="replace")
         reader.own |= code == SHB_APPLICATION and text == OWN_APPLICATION
         reader.texts.setdefault(code, text)
@@ -372,8 +372,8 @@ def _decode_blocks(reader: _Reader, offsets: Integers) -> None:
             reader.interfaces.append(interface)
             _check_number(reader, 4 * at)
         elif kind == ATTACHMENT:
-            most = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
-            attached = read_attachment(body, most)
+            most_bytes = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
+            attached = read_attachment(body, most_bytes)
             if isinstance(attached, TooLarge):
                 if not reader.excessive:
                     text = f"attachments of more than {reader.attached} bytes, in so small a file, are left out from here on"

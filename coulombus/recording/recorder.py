@@ -176,11 +176,11 @@ class Recorder:
             frames["source"] = np.where(buses < 0, len(self._interfaces), buses)
         self._writer.write(frames, dict(zip(places, comments.values(), strict=True)))
 
-    def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
+    def trace(self, unreceived: Records, rows: Records, sent: Records | None = None) -> None:
         """Keep the data of `recording.trace`: for each frame of the batch just written, whether the
         host did not receive it; rows; requested frames.
         """
-        self._own.append(own)
+        self._own.append(unreceived)
         self._rows.append(rows)
         if sent is not None and len(sent):
             self._sent.append(sent.copy())
@@ -193,9 +193,9 @@ class Recorder:
             self._models.append(rows)
 
     def _write_trace(self) -> None:
-        own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
+        unreceived, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
         self._own, self._rows, self._sent = [], [], []
-        self._writer.attach(f"{NAME}{self._traces}", pack(own, rows))
+        self._writer.attach(f"{NAME}{self._traces}", pack(unreceived, rows))
         self._traces += 1
         if sent:
             self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))

@@ -218,10 +218,10 @@ def _columns_of(
     parts = [stretch.rows for stretch in stretches(source, groups, grid_ns)]
     tables = []
     for k, group in enumerate(groups):
-        order = np.concatenate([np.zeros(0, np.int64), *(rows[k].order for rows in parts)])
+        places = np.concatenate([np.zeros(0, np.int64), *(rows[k].order for rows in parts)])
         t_s = np.concatenate([np.zeros(0), *(rows[k].t_s for rows in parts)])
         values = [np.concatenate([rows[k].values[c] for rows in parts]) for c in range(len(group.columns))]
-        tables.append((group, order, t_s, values))
+        tables.append((group, places, t_s, values))
     return tables
 
 

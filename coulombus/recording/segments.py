@@ -117,13 +117,13 @@ class _Flusher:
 
     def flush(self, fd: int) -> None:
         """Request a sync of a file; skipped if earlier ones are still pending."""
-        own = -1
+        duplicate_fd = -1
         try:
-            own = os.dup(fd)
-            self._orders.put_nowait(own)
+            duplicate_fd = os.dup(fd)
+            self._orders.put_nowait(duplicate_fd)
         except (OSError, queue.Full):
-            if own >= 0:
-                os.close(own)
+            if duplicate_fd >= 0:
+                os.close(duplicate_fd)
 
     def close(self) -> None:
         """Wait for pending requests, with a time limit."""
@@ -213,9 +213,9 @@ class SegmentedRecorder(Recorder):
             self._flusher.flush(self._writer.fileno())
 
     def _over(self, t_ns: int) -> bool:
-        most = self.rotation
-        large = most.most_bytes is not None and self._writer.bytes >= most.most_bytes
-        return large or (most.most_s is not None and t_ns - self._begun_ns >= most.most_s * 1e9)
+        rotation = self.rotation
+        large = rotation.most_bytes is not None and self._writer.bytes >= rotation.most_bytes
+        return large or (rotation.most_s is not None and t_ns - self._begun_ns >= rotation.most_s * 1e9)
 
     def _rotate(self) -> None:
         self._flush_trace()

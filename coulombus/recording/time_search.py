@@ -111,20 +111,22 @@ class Window:
 ALL = Window()
 
 
-def offset_before(path: str | Path, start: int, order: str, interfaces: Sequence[Interface], window: Window) -> int:
+def offset_before(
+    path: str | Path, start: int, byte_order: str, interfaces: Sequence[Interface], window: Window
+) -> int:
     """Return the offset of a block, at or after `start`, behind which everything of the window stands.
 
     Parameters
     ----------
     start : offset of a block before the window
-    order, interfaces : of the file's section
+    byte_order, interfaces : of the file's section
     """
     with Path(path).open("rb") as file:
         begin, end = start, os.fstat(file.fileno()).st_size
         while end - begin > CLOSE:
             middle = (begin + end) // 2 // 4 * 4
             file.seek(middle)
-            packet = _packet(file.read(PROBED), order, interfaces)
+            packet = _packet(file.read(PROBED), byte_order, interfaces)
             if packet is not None and window.is_behind(packet[1]):
                 begin = middle + packet[0]
             else:
@@ -132,20 +134,20 @@ def offset_before(path: str | Path, start: int, order: str, interfaces: Sequence
     return begin
 
 
-def _packet(data: bytes, order: str, interfaces: Sequence[Interface]) -> tuple[int, int] | None:
+def _packet(data: bytes, byte_order: str, interfaces: Sequence[Interface]) -> tuple[int, int] | None:
     """Return offset and stamp of the first packet in a part of a file."""
-    place, chain = next_block(data, 0, order, LONGEST), _Chain(data, order)
+    place, chain = next_block(data, 0, byte_order, LONGEST), _Chain(data, byte_order)
     while place is not None:
         if place % 4 == 0 and chain.holds(place):
             break
-        place = next_block(data, place + 1, order, LONGEST)
+        place = next_block(data, place + 1, byte_order, LONGEST)
     while place is not None and place + 12 <= len(data):
         kind, length = chain.head(place)
         if length < 12 or place + length > len(data):
             return None
         if kind == ENHANCED_PACKET:
             words = np.frombuffer(data, "<u4", length // 4, place)
-            stamps_ns = decode_packets(words, np.zeros(1, np.int64), order, interfaces, 0).stamps_ns
+            stamps_ns = decode_packets(words, np.zeros(1, np.int64), byte_order, interfaces, 0).stamps_ns
             if len(stamps_ns):
                 return place, int(stamps_ns[0])
         place += length
@@ -155,8 +157,8 @@ def _packet(data: bytes, order: str, interfaces: Sequence[Interface]) -> tuple[i
 class _Chain:
     """The blocks of a part of a file."""
 
-    def __init__(self, data: bytes, order: str) -> None:
-        self._data, self._order = data, "little" if order == "<" else "big"
+    def __init__(self, data: bytes, byte_order: str) -> None:
+        self._data, self._order = data, "little" if byte_order == "<" else "big"
 
     def head(self, place: int) -> tuple[int, int]:
         """Return type and length of the block at `place`."""

@@ -111,7 +111,7 @@ _SENT = np.dtype([("t_ns", "<i8"), ("word", "<i8"), ("can_id", "<u4"), ("length"
 Table = npt.NDArray[Any]
 
 
-def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
+def pack(unreceived: npt.NDArray[np.bool_], trace: Table) -> bytes:
     """Return the content of an attachment: a flag for each frame since the last attachment that the
     host did not receive; and rows.
 
@@ -119,7 +119,9 @@ def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
 
         u32 frames  u32 rows  | one bit for each frame, the first one lowest, padded to bytes | rows of TRACE or EVENT
     """
-    return _HEAD.pack(len(own), len(trace)) + np.packbits(own, bitorder="little").tobytes() + trace.tobytes()
+    return (
+        _HEAD.pack(len(unreceived), len(trace)) + np.packbits(unreceived, bitorder="little").tobytes() + trace.tobytes()
+    )
 
 
 def pack_sent(frames: Table) -> bytes:
@@ -172,7 +174,7 @@ def unpack(
 
     Data after a missing or damaged attachment are omitted.
     """
-    own: list[Table] = []
+    unreceived: list[Table] = []
     rows: list[Table] = []
     while (content := attachments.get(f"{NAME}{len(rows)}")) is not None:
         if len(content) < _HEAD.size:
@@ -182,8 +184,8 @@ def unpack(
         if len(content) != at + count * dtype.itemsize:
             break
         bits = np.frombuffer(content, np.uint8, at - _HEAD.size, _HEAD.size)
-        own.append(np.unpackbits(bits, count=frames, bitorder="little").astype(bool))
+        unreceived.append(np.unpackbits(bits, count=frames, bitorder="little").astype(bool))
         rows.append(np.frombuffer(content, dtype, count, at))
     if not rows:
         return None
-    return np.concatenate(own), np.concatenate(rows)
+    return np.concatenate(unreceived), np.concatenate(rows)

@@ -47,9 +47,9 @@ def kept_token(path: Path) -> str:
         return token
 
 
-def right_token(given: str, token: str) -> bool:
+def right_token(candidate: str, token: str) -> bool:
     """Return whether a token is correct, in constant time."""
-    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), token.encode())
+    return hmac.compare_digest(candidate.encode("utf-8", "surrogateescape"), token.encode())
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:
@@ -76,8 +76,8 @@ def served_as(host: str | None, address: str, port: int, name: str = "") -> bool
     names = {name.lower(), f"[{here}]" if here.version == 6 else str(here)} - {""}
     if here.is_loopback:
         names |= {"localhost", "127.0.0.1", "[::1]"}
-    given = (host or "").lower()
-    return given in {f"{name}:{port}" for name in names} or (port == HTTP_PORT and given in names)
+    requested = (host or "").lower()
+    return requested in {f"{name}:{port}" for name in names} or (port == HTTP_PORT and requested in names)
 
 
 class ControlLock:

@@ -126,8 +126,8 @@ class LiveCapture:
         for axis in rig.axes:
             position = self._tracks.get(axis.prefix + POSITION)
             if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
-                made = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
-                self._differences.append((made, position))
+                velocity_track = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
+                self._differences.append((velocity_track, position))
         self._names = {
             axis.name: {
                 title: [n for n in (axis.prefix + key for key in keys) if n in self._tracks] for title, _, keys in ROWS
@@ -172,12 +172,12 @@ class LiveCapture:
 
     def _difference(self, k: int) -> None:
         """Add the velocity of new positions."""
-        made, position = self._differences[k]
+        velocity_track, position = self._differences[k]
         t_ns, angle = position.last(position.samples.count - self._counted[k] + VELOCITY_CYCLES)
         self._counted[k] = position.samples.count
         times, speeds = velocity(t_ns, angle, self.rig.bus.period_ns, VELOCITY_CYCLES)
-        made.samples.add(times, speeds)
-        made.bins.add(times, speeds)
+        velocity_track.samples.add(times, speeds)
+        velocity_track.bins.add(times, speeds)
 
     def _count_bits(self) -> None:
         """Count the bits of the frames on the wire: each identifier by its last frame."""

@@ -73,14 +73,14 @@ class LastPage:
             the file is not such a page
         """
         try:
-            kept = json.loads(content)
-            layouts = {str(name): axis["layout"] for name, axis in kept["axes"].items()}
-            batches = {str(name): list(map(base64.b64decode, axis["batches"])) for name, axis in kept["axes"].items()}
+            page = json.loads(content)
+            layouts = {str(name): axis["layout"] for name, axis in page["axes"].items()}
+            batches = {str(name): list(map(base64.b64decode, axis["batches"])) for name, axis in page["axes"].items()}
             for message in chain(*batches.values()):
                 unpacked(message)
             if not batches:
                 raise ValueError("it has no axis")
-            return cls(str(kept["rig"]), layouts, batches, token)
+            return cls(str(page["rig"]), layouts, batches, token)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error) as error:
             raise WebError(f"the page of the last trip cannot be read: {error}; start the host again") from None
 

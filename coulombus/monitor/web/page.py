@@ -319,9 +319,9 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         if mark is not None:
             self._ask(f"mark {mark[1]}", lambda: self.page.door.mark(mark[1]))
             return
-        order = order_of(text, self.axis.name)
-        if order is not None:
-            self._ask("not changed", lambda: self.page.door.change(order))
+        parameter_change = order_of(text, self.axis.name)
+        if parameter_change is not None:
+            self._ask("not changed", lambda: self.page.door.change(parameter_change))
             return
         fault = fault_of(text)
         if fault is not None and self.page.faults is not None:
@@ -363,12 +363,12 @@ def order_of(message: str, axis: str) -> dict[str, Any] | None:
     """Return the host order of a page's message ``set {...}``, or None. A page changes the parameters of its own axis."""
     verb, _, content = message.partition(" ")
     try:
-        order = json.loads(content) if verb == "set" else None
+        parameter_change = json.loads(content) if verb == "set" else None
     except (ValueError, RecursionError):
         return None
-    if not isinstance(order, dict) or not order.keys() <= {"values", "undo", "key"}:
+    if not isinstance(parameter_change, dict) or not parameter_change.keys() <= {"values", "undo", "key"}:
         return None
-    return {**order, "axis": axis}
+    return {**parameter_change, "axis": axis}
 
 
 def fault_of(message: str) -> tuple[str, str, str] | None:

@@ -152,8 +152,8 @@ class HostView:
     @property
     def tripped_ns(self) -> int | None:
         """Time of the trip [ns since 1970]; None without one, or if the host did not say it."""
-        said = (text(place.get("tripped")) for place in (self._word or {}, self._status or {}))
-        at = next(filter(None, said), "") if self._trip else ""
+        trip_times = (text(place.get("tripped")) for place in (self._word or {}, self._status or {}))
+        at = next(filter(None, trip_times), "") if self._trip else ""
         try:
             return round(datetime.fromisoformat(at).timestamp() * 1e6) * 1000
         except ValueError:
@@ -176,13 +176,13 @@ class HostView:
     def positions(self) -> dict[str, float]:
         """Return the positions since the running host's start, by axis, of those that are known [rad]."""
         rows = self._axes() if self._runs else []
-        known = ((text(row.get("axis")), _number(row.get("position_rad"))) for row in rows)
-        return {name: position for name, position in known if position is not None}
+        axis_positions = ((text(row.get("axis")), _number(row.get("position_rad"))) for row in rows)
+        return {name: position for name, position in axis_positions if position is not None}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the host's part of the document."""
         status, axes = self._status or {}, self._axes()
-        said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
+        meta, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
         words = [(text(entry.get("axis")), text(entry.get("phase"))) for entry in axes]
         phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
         counters, word = _map(status.get("counters")), self._word or {}
@@ -200,8 +200,8 @@ class HostView:
             "entry": (self._entry(self._trip) or "") if self._trip else "",
             "tripped_s": None if self.tripped_ns is None else self.tripped_ns * 1e-9,
             "recording": text(status.get("recording")),
-            "subject": text(said.get("subject")),
-            "trial": text(said.get("trial")),
+            "subject": text(meta.get("subject")),
+            "trial": text(meta.get("trial")),
             "parameters": self._parameters_now(),
             "arm_key": self._runs and status.get("arm_key") is True,
             "wakeup_us": _spread(status.get("wakeup_us")),

@@ -115,8 +115,8 @@ def _pieces(t_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
     for piece, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         part = np.nan_to_num(values[start:end])
         rows[piece] = sorted((start + int(part.argmin()), start + int(part.argmax())))
-    chosen = rows.reshape(-1)
-    return t_s[chosen], values[chosen]
+    indices = rows.reshape(-1)
+    return t_s[indices], values[indices]
 
 
 class _Html(Handler):
@@ -139,10 +139,10 @@ class _Samples(Handler):
     page: RecordingPage
 
     async def get(self, _: str) -> None:
-        found = self.page.samples(self.get_query_argument("s"), *(_second(self, name) for name in "ab"))
-        if found is None:
+        samples = self.page.samples(self.get_query_argument("s"), *(_second(self, name) for name in "ab"))
+        if samples is None:
             raise tornado.web.HTTPError(404)
-        self.finish(found)
+        self.finish(samples)
 
 
 class _At(Handler):

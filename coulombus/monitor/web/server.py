@@ -60,8 +60,8 @@ class Server(tornado.httpserver.HTTPServer):
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Serve a connection; if there are too many, close the oldest that is not a page's."""
-        kept = self._page.sockets
-        self._streams = deque(stream for stream in self._streams if not stream.closed() and stream not in kept)
+        page_streams = self._page.sockets
+        self._streams = deque(stream for stream in self._streams if not stream.closed() and stream not in page_streams)
         while len(self._streams) >= CONNECTIONS:
             self._streams.popleft().close()
         self._streams.append(stream)
@@ -92,16 +92,16 @@ def listening(host: str, port: int, option: str = "--web-port") -> list[socket.s
 
 def _bound(host: str, port: int) -> socket.socket:
     family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    made = socket.socket(family, kind, protocol)
+    listener = socket.socket(family, kind, protocol)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(place)
-        made.listen(CONNECTIONS)
-        made.setblocking(False)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(place)
+        listener.listen(CONNECTIONS)
+        listener.setblocking(False)
     except OSError:
-        made.close()
+        listener.close()
         raise
-    return made
+    return listener
 
 
 @dataclass(frozen=True)

@@ -49,12 +49,12 @@ class ParquetWriter:
         columns = [pa.array(np.concatenate([rows.t_s for rows in stretch.rows])[order])]
         begin = 0
         for group, rows in zip(self._groups, stretch.rows, strict=True):
-            own = np.full(len(order), -1)
-            own[begin : begin + len(rows.order)] = np.arange(len(rows.order))
-            own, begin = own[order], begin + len(rows.order)
+            indices = np.full(len(order), -1)
+            indices[begin : begin + len(rows.order)] = np.arange(len(rows.order))
+            indices, begin = indices[order], begin + len(rows.order)
             for column, values in zip(group.columns, rows.values, strict=True):
-                padded = np.append(values, values.dtype.type(0))[own]
-                absent = (own < 0) | np.isnan(padded) if padded.dtype.kind == "f" else own < 0
+                padded = np.append(values, values.dtype.type(0))[indices]
+                absent = (indices < 0) | np.isnan(padded) if padded.dtype.kind == "f" else indices < 0
                 if column.word:
                     padded = np.where(absent, 0, padded).astype(np.int64)
                 columns.append(pa.array(padded, mask=absent))

@@ -104,24 +104,24 @@ class Hdf5Writer:
         self._times, self._values = [], []
         self._markers: list[tuple[float, str]] = []
         for group in groups:
-            own = [self._file.create_group(column.name) for column in group.columns]
-            times = self._dataset(own[0], "t_s", "f8", "s")
-            for child in own[1:]:
+            children = [self._file.create_group(column.name) for column in group.columns]
+            times = self._dataset(children[0], "t_s", "f8", "s")
+            for child in children[1:]:
                 child["t_s"] = times
             word = "f8" if len(groups) == 1 and group.name == GRID else "i8"
             self._times.append(times)
             self._values.append(
                 [
                     self._dataset(child, "values", word if column.word else "f8", column.unit)
-                    for child, column in zip(own, group.columns, strict=True)
+                    for child, column in zip(children, group.columns, strict=True)
                 ]
             )
 
     @staticmethod
     def _dataset(group: Any, name: str, kind: str, unit: str) -> Any:
-        made = group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(CHUNK,), compression=1, shuffle=True)
-        made.attrs["unit"] = unit
-        return made
+        dataset = group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(CHUNK,), compression=1, shuffle=True)
+        dataset.attrs["unit"] = unit
+        return dataset
 
     def add(self, stretch: Stretch) -> None:
         """Append a stretch."""

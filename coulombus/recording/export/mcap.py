@@ -154,8 +154,8 @@ class McapWriter:
         self._write(_record(CHUNK, head + packed))
         length, index_at, places_of = self._at - chunk_at, self._at, b""
         for channel in np.unique(heads["channel"]).tolist():
-            own = heads["channel"] == channel
-            entries = np.stack((heads["log"][own], offsets[own].astype(np.uint64)), 1).astype("<u8")
+            of_channel = heads["channel"] == channel
+            entries = np.stack((heads["log"][of_channel], offsets[of_channel].astype(np.uint64)), 1).astype("<u8")
             places_of += struct.pack("<HQ", channel, self._at)
             self._write(_record(INDEX, struct.pack("<H", channel) + _text(entries.tobytes())))
         index = struct.pack("<QQQQ", begin, end, chunk_at, length) + _text(places_of)

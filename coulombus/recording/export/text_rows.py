@@ -30,8 +30,8 @@ def texts_of(values: Array, word: bool, others: Mapping[str, str]) -> Cells:
     """Return numbers as texts; `others`: texts instead of ``nan``, ``inf`` and ``-inf``."""
     distinct, numbers = np.unique(values, return_inverse=True)  # -inf is the first, inf and NaN are the last
     finite = np.isfinite(distinct)
-    known = distinct[finite]
-    texts = list(map(repr, (known.astype(np.int64) if word and known.dtype.kind == "f" else known).tolist()))
+    reals = distinct[finite]
+    texts = list(map(repr, (reals.astype(np.int64) if word and reals.dtype.kind == "f" else reals).tolist()))
     odd = [others.get(text, text) for text in map(repr, distinct[~finite].tolist())]
     first = int(np.count_nonzero(distinct == -np.inf))
     return [*odd[:first], *texts, *odd[first:]], numbers

@@ -97,14 +97,14 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] = (), units:
         a column is missing, not numeric, or of another length; the times do not increase
     """
     path = Path(path)
-    chosen, given = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
+    column_names, unit_names = _pairs(path, "--column", columns), _pairs(path, "--unit", units)
     try:
         raw = {".csv": _csv, ".parquet": _parquet, ".mat": _mat}[path.suffix.lower()](path)
     except OSError as error:
         raise TableError(f"{path}: cannot be read ({error.strerror or error})") from error
     values: dict[str, Floats] = {}
     for what in NAMES:
-        name = chosen.get(what) or next((name for name in raw if _split(name)[0].lower() in NAMES[what]), None)
+        name = column_names.get(what) or next((name for name in raw if _split(name)[0].lower() in NAMES[what]), None)
         if name is None and what in OPTIONAL:
             continue
         if name is None or name not in raw:
@@ -113,7 +113,7 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] = (), units:
                 f"{path}: no column for {what} ({name or '/'.join(NAMES[what])}); it has {has}; give --column {what}=NAME"
             )
         values[what] = np.ravel(np.asarray(raw[name], np.float64)) * _factor(
-            path, what, given.get(what) or _split(name)[1]
+            path, what, unit_names.get(what) or _split(name)[1]
         )
     return _checked(path, values)
 
@@ -151,8 +151,8 @@ def _split(name: str) -> tuple[str, str | None]:
     if match:
         return match[1].rstrip("_ "), match[2]
     stem, _, unit = name.strip().rpartition("_")
-    known = {unit for kinds in UNITS.values() for unit in kinds}
-    return (stem, unit) if stem and unit in known else (name.strip(), None)
+    units = {unit for kinds in UNITS.values() for unit in kinds}
+    return (stem, unit) if stem and unit in units else (name.strip(), None)
 
 
 def _factor(path: Path, what: str, unit: str | None) -> float:

@@ -163,9 +163,9 @@ def load_column(
     """
     motor_Nm = [slide.motor_Nm for slide in slides if len(slide.t_s) >= len(equations.weight)]
     load = np.sign(equations.v) * equations.smooth([np.abs(torque) for torque in motor_Nm])
-    known = [np.sign(equations.v), equations.v, equations.a, np.ones_like(load), equations.motor_Nm]
-    known += [values for values, _ in (others or {}).values()]
-    matrix = np.column_stack(known)
+    regressors = [np.sign(equations.v), equations.v, equations.a, np.ones_like(load), equations.motor_Nm]
+    regressors += [values for values, _ in (others or {}).values()]
+    matrix = np.column_stack(regressors)
     solution, *_ = np.linalg.lstsq(matrix, load, rcond=None)
     if float(np.std(load - matrix @ solution)) <= LEAST_LOAD * float(np.sqrt(np.mean(load**2))):
         return {}
@@ -227,19 +227,19 @@ def fit_friction(
     error, freedom = standard_errors(solution, clusters)
     stribeck = _stribeck(equations, X, torque, variances) if "viscous" in columns else None
     if stribeck is not None:
-        wide, known = np.column_stack([X, stribeck.shape]), np.append(variances, 0.0)
-        chosen = solve(wide, torque, known)
+        wide, wide_variances = np.column_stack([X, stribeck.shape]), np.append(variances, 0.0)
+        wide_solution = solve(wide, torque, wide_variances)
         # v_S is fitted as well: the covariance includes its tangent
         step = 1e-4 * stribeck.speed
         tangent = (_shape(equations, stribeck.speed + step) - _shape(equations, stribeck.speed - step)) / (2 * step)
-        height = chosen.beta[-1] / chosen.scale[-1]
-        full = solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
-        # at the optimum the tangent's own coefficient is 0, so residuals and coefficients are those of `chosen`
+        height = wide_solution.beta[-1] / wide_solution.scale[-1]
+        full = solve(np.column_stack([wide, height * tangent]), torque, np.append(wide_variances, 0.0))
+        # at the optimum the tangent's own coefficient is 0, so residuals and coefficients are those of `wide_solution`
         wide_error, wide_freedom = standard_errors(full, clusters)
         low = height - stdtrit(wide_freedom[-2], 0.5 + STRIBECK_LEVEL / 2) * wide_error[-2]
         if low > 0.0:
             columns["stribeck"] = stribeck.shape, 0.0
-            solution, error, freedom = chosen, wide_error[:-1], wide_freedom[:-1]
+            solution, error, freedom = wide_solution, wide_error[:-1], wide_freedom[:-1]
         else:
             stribeck = None
     if stribeck is None:

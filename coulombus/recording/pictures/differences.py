@@ -23,9 +23,12 @@ def draw_differences(comparison: Comparison) -> Figure:
     """Return a figure with a row per signal: those with a unit first, at most `MOST_ROWS`; the
     host's telemetry only if it differs.
     """
-    there = [signal for signal in comparison.signals if signal.samples and not (_inside(signal.name) and signal.equal)]
-    shown = sorted(there, key=lambda signal: (not signal.unit, _inside(signal.name)))[:MOST_ROWS]
-    with figure(11, 1.2 + 1.6 * max(len(shown), 1), max(len(shown), 1), 2, squeeze=False, sharex=True) as (made, axes):
+    drawn = [signal for signal in comparison.signals if signal.samples and not (_inside(signal.name) and signal.equal)]
+    shown = sorted(drawn, key=lambda signal: (not signal.unit, _inside(signal.name)))[:MOST_ROWS]
+    with figure(11, 1.2 + 1.6 * max(len(shown), 1), max(len(shown), 1), 2, squeeze=False, sharex=True) as (
+        picture,
+        axes,
+    ):
         for row, signal in zip(axes, shown, strict=False):
             _draw_row(row, signal, comparison.pairs[signal.name])
         axes[0, 1].set_title("A - B")
@@ -35,7 +38,7 @@ def draw_differences(comparison: Comparison) -> Figure:
             axes[0, 0].legend(curves, names, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.1, ncols=2)
         for axis in axes[-1]:
             axis.set_xlabel("time in A [s]")
-    return made
+    return picture
 
 
 def _inside(name: str) -> bool:

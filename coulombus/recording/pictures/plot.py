@@ -116,8 +116,8 @@ class Envelope:
             times, values = (np.concatenate([np.zeros(0), *parts]) for parts in zip(*self._raw, strict=True))
             return Trace(name, unit, times, values, values, self.count)
         centres = self.begin_s + (np.arange(BINS) + 0.5) * (self.end_s - self.begin_s) / BINS
-        there = self._low <= self._high
-        return Trace(name, unit, centres[there], self._low[there], self._high[there], self.count)
+        filled = self._low <= self._high
+        return Trace(name, unit, centres[filled], self._low[filled], self._high[filled], self.count)
 
 
 def traces_of(source: Source, signals: Sequence[str] | None = None, span: Span = WHOLE) -> Plot:
@@ -143,8 +143,8 @@ def traces_of(source: Source, signals: Sequence[str] | None = None, span: Span =
     """
     signals, span = None if signals is None else texts(signals, "signals", EXAMPLE), checked_span(span)
     pdos = source.pdos if source.known_rig is None else source.known_rig.pdos()
-    known = [signal for pdo in pdos for signal in pdo.signals]
-    measured = [signal.name for signal in known if signal.unit] or [signal.name for signal in known]
+    pdo_signals = [signal for pdo in pdos for signal in pdo.signals]
+    measured = [signal.name for signal in pdo_signals if signal.unit] or [signal.name for signal in pdo_signals]
     names = measured if signals is None else list(signals)
     units = {name: source.signal(name).unit for name in names}
     extent = source.extent()
@@ -163,7 +163,7 @@ def traces_of(source: Source, signals: Sequence[str] | None = None, span: Span =
             for name, envelope in envelopes.items():
                 envelope.add(block.signals[name].t_s, block.signals[name].values)
     traces = tuple(envelope.trace(name, units[name]) for name, envelope in envelopes.items())
-    left_out = tuple(signal.name for signal in known if signal.name not in names) if signals is None else ()
+    left_out = tuple(signal.name for signal in pdo_signals if signal.name not in names) if signals is None else ()
     return Plot(Path(source.path).name, begin, end, traces, tuple(markers), left_out)
 
 
@@ -190,12 +190,12 @@ def _apart(one: Trace, other: Trace, near: float) -> float:
     return float(np.mean((np.abs(low - one.low) > near) | (np.abs(high - one.high) > near)))
 
 
-def draw(made: Figure, data: Plot) -> None:
+def draw(picture: Figure, data: Plot) -> None:
     """Draw panels, one for each unit, into an empty figure."""
     panels: dict[str, list[Trace]] = {}
     for trace in data.traces:
         panels.setdefault(trace.unit or trace.name, []).append(trace)
-    axes = made.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    axes = picture.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     below = dict(hidden(data))
     for panel, traces in zip(axes, panels.values(), strict=True):
         for trace, (colour, dashes) in zip(traces, _manners(traces), strict=True):
@@ -220,9 +220,9 @@ def _manners(traces: Sequence[Trace]) -> Iterator[tuple[str, Any]]:
     free = [colour for colour in COLOURS if colour not in fixed] or list(COLOURS)
     seen: dict[str, int] = {}
     rest = 0
-    for known in fixed:
-        colour = known or free[rest % len(free)]
-        rest += known is None
+    for fixed_colour in fixed:
+        colour = fixed_colour or free[rest % len(free)]
+        rest += fixed_colour is None
         again = seen.get(colour, 0)
         seen[colour] = again + 1
         yield shade(colour, again), DASHES[again % len(DASHES)]
@@ -265,13 +265,13 @@ def figure_of(data: Plot, look: Look | None = None) -> Figure:
     look = look or Look()
     panels = len({trace.unit or trace.name for trace in data.traces})
     width, height = (10, 1.2 + 1.5 * panels) if look.size_cm is None else (cm / CM_PER_INCH for cm in look.size_cm)
-    with figure(width, height) as (made, axes):
+    with figure(width, height) as (picture, axes):
         axes.remove()
-        draw(made, data if look.title is None else replace(data, title=look.title))
-    return made
+        draw(picture, data if look.title is None else replace(data, title=look.title))
+    return picture
 
 
-def save_picture(made: Figure, path: Path, dpi: float | None = None) -> None:
+def save_picture(picture: Figure, path: Path, dpi: float | None = None) -> None:
     """Write a figure; the ending names the format, and the same figure has the same bytes.
 
     Parameters
@@ -288,4 +288,4 @@ def save_picture(made: Figure, path: Path, dpi: float | None = None) -> None:
     from coulombus.recording.pictures.style import SETTINGS
 
     with matplotlib.rc_context(SETTINGS if dpi is None else {**SETTINGS, "savefig.dpi": dpi}):
-        made.savefig(path, metadata=metadata[path.suffix.lower()])
+        picture.savefig(path, metadata=metadata[path.suffix.lower()])

@@ -110,11 +110,11 @@ def figure(
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(SETTINGS):
-        made = Figure(figsize=(width, height), layout="constrained")
-        yield made, made.subplots(rows, columns, **options)
+        picture = Figure(figsize=(width, height), layout="constrained")
+        yield picture, picture.subplots(rows, columns, **options)
 
 
-def save(made: Figure, directory: str | os.PathLike[str], name: str) -> tuple[Path, Path]:
+def save(picture: Figure, directory: str | os.PathLike[str], name: str) -> tuple[Path, Path]:
     """Write `name`.png and `name`.svg, the same bytes for the same figure.
 
     Call it within `figure`.
@@ -122,8 +122,8 @@ def save(made: Figure, directory: str | os.PathLike[str], name: str) -> tuple[Pa
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     png, svg = directory / f"{name}.png", directory / f"{name}.svg"
-    made.savefig(png, metadata={"Software": None})
-    made.savefig(svg, metadata={"Date": None, "Creator": None})
+    picture.savefig(png, metadata={"Software": None})
+    picture.savefig(svg, metadata={"Date": None, "Creator": None})
     return png, svg
 
 
