@@ -60,8 +60,10 @@ class Encoder(Step):
         if given.marks_rad is None:
             return "give --marks-rad: the angle between two marks at the handle"
         if not LEAST_RAD <= given.marks_rad <= min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad):
-            most = min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad)
-            return f"--marks-rad {given.marks_rad:g}: expected from {LEAST_RAD:g} to {most:.3g} (limits.travel_rad)"
+            largest_rad = min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad)
+            return (
+                f"--marks-rad {given.marks_rad:g}: expected from {LEAST_RAD:g} to {largest_rad:.3g} (limits.travel_rad)"
+            )
         return None
 
     def risk(self, axis: Axis, given: Given) -> Risk:

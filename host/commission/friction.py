@@ -222,13 +222,13 @@ def _written(
         raise CommissionError(
             f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
         )
-    known = [sector for sector in sectors if sector is not None]
-    least = min(known, key=lambda sector: sector.value, default=coulomb)
+    measured = [sector for sector in sectors if sector is not None]
+    least = min(measured, key=lambda sector: sector.value, default=coulomb)
     if least.high >= (1 - UNEVEN) * coulomb.value:
         return coulomb, ()
-    most = max(sector.value for sector in known)
+    largest_Nm = max(sector.value for sector in measured)
     remark = (
-        f"the friction is uneven, {least.value:.4f} to {most:.4f} Nm by angle; the smallest is taken, "
+        f"the friction is uneven, {least.value:.4f} to {largest_Nm:.4f} Nm by angle; the smallest is taken, "
         "so that the compensation nowhere pushes by itself"
     )
     return widened(least, torque_share), (remark,)

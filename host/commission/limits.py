@@ -65,9 +65,9 @@ def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
     fastest = limits.speed_rad_s * period / count
     jump, least_jump = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)
     why = f"limits.speed_rad_s is {fastest:.0f} counts a cycle, times {JUMP_MARGIN:g}"
-    wrong = jump < fastest or jump > JUMP_LOOSE * fastest
+    unfit = jump < fastest or jump > JUMP_LOOSE * fastest
     yield Finding(
-        "limits.encoder_jump_counts", "encoder's jump", jump, least_jump if wrong else jump, "counts", None, why, wrong
+        "limits.encoder_jump_counts", "encoder's jump", jump, least_jump if unfit else jump, "counts", None, why, unfit
     )
     if axis.allocation.bound.get("handle_torque") is None:
         return

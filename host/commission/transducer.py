@@ -105,8 +105,8 @@ class Weight(Step):
         if given.weight_Nm is None:
             return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
         if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
-            most = axis.limits.brake_torque_Nm / HOLDS
-            bounds = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
+            largest_Nm = axis.limits.brake_torque_Nm / HOLDS
+            bounds = f"expected above 0, at most {largest_Nm:.3g}, which the brake holds with a margin"
             return f"--weight-Nm {given.weight_Nm:g}: {bounds}"
         return lacks_roles(axis, "handle_torque")
 

@@ -120,10 +120,10 @@ class DictionaryScan:
         AnswerUntrusted
             (6, or 3) its answer is not valid, or two devices answer
         """
-        own = packaged()
+        files = packaged()
         device_type = self._read(0x1000, 0)
         profile = int.from_bytes(device_type[:2], "little") if isinstance(device_type, bytes) else 0
-        self._common, self._profile = own[0], own[PROFILES[profile]] if profile in PROFILES else None
+        self._common, self._profile = files[0], files[PROFILES[profile]] if profile in PROFILES else None
         self._mapped = set(self._mapped_places(MAPPING_RANGES))
         self._set_points = set(self._mapped_places(MAPPING_RANGES[:1]))
         content = FileContent([])
@@ -173,12 +173,12 @@ class DictionaryScan:
             return
         rows = []
         for sub, answer in self._subs(index, top):
-            known = variables.get(sub) or (variables.get(1) if sub and _is_map(index) else None)
-            keys = self._keys(index, sub, answer, known)
+            described = variables.get(sub) or (variables.get(1) if sub and _is_map(index) else None)
+            keys = self._keys(index, sub, answer, described)
             if keys is not None:
                 usual = "Highest sub-index supported" if sub == 0 else f"{name} {sub}"
-                own = known.name if known is not None and known.subindex == sub else usual
-                rows.append(Row(index, sub, {"ParameterName": own, "ObjectType": f"0x{VAR:X}", **keys}))
+                parameter_name = described.name if described is not None and described.subindex == sub else usual
+                rows.append(Row(index, sub, {"ParameterName": parameter_name, "ObjectType": f"0x{VAR:X}", **keys}))
         types = {row.keys["DataType"] for row in rows if row.subindex}
         kind = template.object_type if template is not None else ARRAY if len(types) == 1 else RECORD
         head = {"ParameterName": name, "ObjectType": f"0x{kind:X}", "SubNumber": f"0x{len(rows):X}"}

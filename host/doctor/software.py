@@ -71,7 +71,7 @@ def versions(
         names = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
     except metadata.PackageNotFoundError:
         return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install . in the clone")
-    wrong = []
+    mismatches = []
     for text in needed:
         match = _REQUIREMENT.match(text)
         if match is None or (match[4] and "extra" in match[4]):
@@ -79,13 +79,13 @@ def versions(
         try:
             have = version(match[1])
         except metadata.PackageNotFoundError:
-            wrong.append(f"{match[1]} is missing")
+            mismatches.append(f"{match[1]} is missing")
             continue
         names.append(f"{match[1]} {have}")
         if not requirement_met(match[3], have):
-            wrong.append(f"{match[1]} is {have}, expected {match[3].strip()}")
-    if wrong:
-        return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade . in the clone")
+            mismatches.append(f"{match[1]} is {have}, expected {match[3].strip()}")
+    if mismatches:
+        return Outcome(False, "; ".join(mismatches), f"{sys.executable} -m pip install --upgrade . in the clone")
     return Outcome(True, ", ".join(names))
 
 
@@ -123,13 +123,13 @@ def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
             and script.resolve() not in (place.resolve() for place in scripts)
         ):
             scripts.append(script)
-    own = prefix / "bin" / NAME
+    command = prefix / "bin" / NAME
     if not scripts:
-        return Outcome(True, f"not on PATH; call it as {own}")
-    if scripts[0].resolve() == own.resolve():
+        return Outcome(True, f"not on PATH; call it as {command}")
+    if scripts[0].resolve() == command.resolve():
         return Outcome(True, str(scripts[0]))
     fix = f". {prefix}/bin/activate  # in each terminal, or: hash -r; export PATH={prefix}/bin:$PATH"
-    return Outcome(False, f"the shell takes {scripts[0]}, not {own}", fix)
+    return Outcome(False, f"the shell takes {scripts[0]}, not {command}", fix)
 
 
 def compiled() -> Outcome:

@@ -68,14 +68,14 @@ def bit_mark(given: str, rig: Rig) -> BitMark:
         raise ValueError(
             f"{given!r}: expected SIGNAL:MASK=TEXT with a mask of bits, as in motor.statusword:0x400=there"
         )
-    known = {
+    signals = {
         signal.name: (pdo.layout, start, entry.bits)
         for pdo in rig.pdos()
         for signal, start, entry in zip(pdo.signals, pdo.layout.starts, pdo.layout.entries, strict=False)
     }
-    if name not in known:
-        raise ValueError(f"{given!r}: no PDO of the rig carries the signal {name!r}{nearest(name, known)}")
-    layout, start, size = known[name]
+    if name not in signals:
+        raise ValueError(f"{given!r}: no PDO of the rig carries the signal {name!r}{nearest(name, signals)}")
+    layout, start, size = signals[name]
     if mask >= 1 << size:
         raise ValueError(f"{given!r}: {name} has {size} bits; the mask {mask:#x} has more")
     try:
