@@ -111,7 +111,7 @@ def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[Entry,
             f"{path}: it has no entry; expected [[at]] with t_s, node and action, once for each thing that happens"
         )
     names = tuple(dict.fromkeys((*NODES, *nodes)))
-    return tuple(_entry(f"{path}: entry {n} of [[at]]", given, names) for n, given in enumerate(entries, 1))
+    return tuple(_entry(f"{path}: entry {n} of [[at]]", entry, names) for n, entry in enumerate(entries, 1))
 
 
 def _entry(where: str, given: Any, names: Sequence[str]) -> Entry:
