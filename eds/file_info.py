@@ -216,8 +216,8 @@ def _mapping(index: int, line: int) -> Object:
     return Object(index, "PDO mapping parameter", RECORD, MappingProxyType(variables))
 
 
-def _some(indices: Iterable[int], most: int = 3) -> str:
+def _some(indices: Iterable[int], limit: int = 3) -> str:
     """Return "2000h, 2001h, 2002h and 5 more"."""
     names = [f"{index:04X}h" for index in indices]
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

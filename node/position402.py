@@ -43,9 +43,9 @@ def fastest(n: NodeRecord) -> float:
 
 
 @kernel
-def _bounded(n: NodeRecord, rate: int, most: int) -> float:
+def _bounded(n: NodeRecord, rate: int, limit: int) -> float:
     """Return an acceleration, counts/s^2, within its limit (0: none)."""
-    return float(max(min(rate, most) if most > 0 else rate, 1)) * n.unit_counts_s
+    return float(max(min(rate, limit) if limit > 0 else rate, 1)) * n.unit_counts_s
 
 
 @kernel

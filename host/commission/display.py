@@ -31,7 +31,7 @@ class Display(Step):
     def _mode(self, axis: Axis) -> str:
         return next(mode for mode in MODES if mode in axis.mode)
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the limits of the mode, from the rig file."""
         mode = self._mode(axis)
         mode_keys = axis.mode[mode]
@@ -44,13 +44,13 @@ class Display(Step):
             "1 s each way, with a stop of 1 s between.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run with the rig file's law."""
         schedule = f"phase=[{', '.join(SCHEDULE)}]"
         variant = rig.variant(schedule)
         return (Exercise(self.name, variant, self._mode(rig.one_axis()), variant.schedule_s, (schedule,)),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the figures of the hold test: whether the handle stayed still while it was pushed."""
         recording = runs[0].recording
         measures = measure(recording)

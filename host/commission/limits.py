@@ -35,16 +35,16 @@ class Limits(Step):
     name = "limits"
     title = "limits against noise, counts and speed"
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the risk: nothing moves."""
         return Risk("Nothing moves: encoder and transducer are read.", seconds=SECONDS)
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run without torque."""
         rest = f'{{kind="rest", duration_s={SECONDS}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return noise and jitter, and the checked limits."""
         return Outcome(tuple(_findings(runs[0].recording, axis)))
 

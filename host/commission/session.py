@@ -102,12 +102,12 @@ class Session:
         self,
         path: Path,
         run: Runner,
-        given: Given,
+        inputs: Given,
         now: Callable[[], str],
         overrides: Sequence[str] = (),
         axis: str | None = None,
     ) -> None:
-        self.path, self.run, self.given, self.now = path, run, given, now
+        self.path, self.run, self.given, self.now = path, run, inputs, now
         self.overrides, self.axis = tuple(overrides), axis
         names = self._whole().axis_names
         if names and axis is None:

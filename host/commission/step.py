@@ -181,20 +181,20 @@ class Step(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the reason why the step is not possible on this rig, or None."""
         return None
 
     @abstractmethod
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the motion of the step, with its limits."""
 
     @abstractmethod
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the runs of the step; empty if nothing has to move."""
 
     @abstractmethod
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the result from the recordings.
 
         Raises

@@ -363,17 +363,17 @@ def _short(name: str) -> str:
     return name.removesuffix(next((end for end in UNITS if end.startswith("_") and name.endswith(end)), ""))
 
 
-def _name(given: str, axis: _Axis) -> str:
+def _name(key: str, axis: _Axis) -> str:
     """Return the full name of a parameter that is given with or without its unit."""
     names, short = list(axis.table), {_short(name): name for name in axis.table}
-    if given in names:
-        return given
-    if given in short:
-        return short[given]
+    if key in names:
+        return key
+    if key in short:
+        return short[key]
     law, parameters = axis.controller.axis.law.function, ", ".join(names)
-    if given in OF_MODE or given in map(_short, OF_MODE):
-        raise ChangeRefused(f"{given}: the law {law} has none; there is {parameters}")
-    raise ChangeRefused(f"{given}: no parameter of this name; there is {parameters}{nearest(given, (*names, *short))}")
+    if key in OF_MODE or key in map(_short, OF_MODE):
+        raise ChangeRefused(f"{key}: the law {law} has none; there is {parameters}")
+    raise ChangeRefused(f"{key}: no parameter of this name; there is {parameters}{nearest(key, (*names, *short))}")
 
 
 def _pairs(axis: _Axis, values: Mapping[str, float], goals: Mapping[str, float]) -> str | None:

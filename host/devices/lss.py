@@ -228,16 +228,18 @@ class LssMaster:
             pass
         return True
 
-    def _scan(self, patience: _Patience, known: Sequence[Identity]) -> Identity | None:
+    def _scan(self, patience: _Patience, identities: Sequence[Identity]) -> Identity | None:
         """Scan one device's identity; return None if a number is not confirmed.
 
-        Devices often have the same vendor, so the numbers of `known` devices are tried first.
+        Devices often have the same vendor, so the numbers of the `identities` are tried first.
         """
         numbers: list[int] = []
         for part in range(4):
             number = 0
             likely = (
-                {identity[part] for identity in known if list(identity[:part]) == numbers} if part < SERIAL else set()
+                {identity[part] for identity in identities if list(identity[:part]) == numbers}
+                if part < SERIAL
+                else set()
             )
             guess = next((n for n in likely if self._step(n, 0, part, part + 1, patience)), None)
             if guess is not None:

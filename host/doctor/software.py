@@ -22,18 +22,18 @@ _BOUND = re.compile(r"\s*(>=|<=|==|!=|~=|>|<)\s*([0-9][0-9a-zA-Z.*+!]*)\s*$")
 
 
 def checks(
-    path: Sequence[str] | None = None, programs: Sequence[str] | None = None, own: Path | None = None
+    path: Sequence[str] | None = None, programs: Sequence[str] | None = None, package: Path | None = None
 ) -> list[Check]:
     """Return the checks of the installed software.
 
     Parameters
     ----------
     path, programs : search paths of modules and programs; default are those of this process
-    own : the package's folder; default is the folder of this package
+    package : the package's folder; default is the folder of this package
     """
     modules = sys.path if path is None else path
     folders = os.environ.get("PATH", "").split(os.pathsep) if programs is None else programs
-    here = Path(__file__).resolve().parents[2] / NAME if own is None else own
+    here = Path(__file__).resolve().parents[2] / NAME if package is None else package
     return [
         ("software.versions", versions),
         ("software.import_name", partial(import_name, modules, here)),
@@ -89,7 +89,7 @@ def versions(
     return Outcome(True, ", ".join(names))
 
 
-def import_name(path: Sequence[str], own: Path) -> Outcome:
+def import_name(path: Sequence[str], package: Path) -> Outcome:
     """Check that the module path has no other `coulombus`.
 
     A folder `coulombus` without `__init__.py` in the current folder, such as a clone, hides a package in
@@ -97,17 +97,17 @@ def import_name(path: Sequence[str], own: Path) -> Outcome:
     """
     others = []
     clone = Path.cwd() / NAME
-    hidden = own.parent.resolve() not in {Path(entry).resolve() for entry in path}
+    hidden = package.parent.resolve() not in {Path(entry).resolve() for entry in path}
     if hidden and clone.is_dir() and not (clone / "__init__.py").is_file():
         others.append(str(clone))
     for entry in dict.fromkeys(path):
         folder = Path(entry or ".")
         for candidate in (folder / NAME / "__init__.py", folder / f"{NAME}.py"):
             place = candidate.parent if candidate.name == "__init__.py" else candidate
-            if candidate.is_file() and place.resolve() != own.resolve():
+            if candidate.is_file() and place.resolve() != package.resolve():
                 others.append(str(place))
     if not others:
-        return Outcome(True, f"only {own}")
+        return Outcome(True, f"only {package}")
     fix = "# rename it, work in another folder, or take its folder out of PYTHONPATH: " + ", ".join(others)
     return Outcome(False, f"another {NAME} can be imported: {', '.join(others)}", fix)
 

@@ -74,14 +74,14 @@ class Changes:
         """Return the reason why the arm key is refused; None if it is right, or none is needed."""
         return self._key.why_not(key, now_ns)
 
-    def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
-        reason = self._why_not() or self._key.why_not(order["key"], now_ns)
+    def _change(self, request: Mapping[str, Any], now_ns: int) -> Change:
+        reason = self._why_not() or self._key.why_not(request["key"], now_ns)
         if reason is not None:
             raise ChangeRefused(reason)
-        if order["undo"]:
-            change = self.parameters.undo(order["over_s"])
+        if request["undo"]:
+            change = self.parameters.undo(request["over_s"])
         else:
-            change = self.parameters.change(order["values"], order["axis"], order["over_s"])
+            change = self.parameters.change(request["values"], request["axis"], request["over_s"])
         self._apply(change)
         return change
 

@@ -371,9 +371,9 @@ def _slot(name: str, slots: Mapping[str, int]) -> int:
     raise WrongCall(f"{name}: the law has no parameter of this name that a world may set; it has {parameters}")
 
 
-def model_of(said: Any) -> Model | None:
+def model_of(returned: Any) -> Model | None:
     """Return what a world's function has returned as a model: a model, a part, several parts, or None."""
-    if said is None or isinstance(said, Model):
-        return said
-    parts = said if isinstance(said, (tuple, list)) else (said,)
+    if returned is None or isinstance(returned, Model):
+        return returned
+    parts = returned if isinstance(returned, (tuple, list)) else (returned,)
     return Model().with_parts(*parts)

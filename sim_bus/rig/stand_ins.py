@@ -268,7 +268,7 @@ def _range(binding: Binding) -> tuple[int, int]:
     return (-half, half - 1) if binding.entry.signed else (0, 2 * half - 1)
 
 
-def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[float, float]:
+def _truth(axis: Axis, p: Plant, binding: Binding, drive_scale: _OwnScale) -> tuple[float, float]:
     """Return (counts per unit, the quantity at the count 0) of an object that shows a quantity of the true
     plant.
     """
@@ -277,18 +277,20 @@ def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[floa
     of_drive = binding.node == "motor"
     if name == "position":
         counts_rev = (
-            {_POSITION: own.counts_rev, _INCREMENTS: own.increments}.get(_own_key(motor, binding)) if of_drive else None
+            {_POSITION: drive_scale.counts_rev, _INCREMENTS: drive_scale.increments}.get(_own_key(motor, binding))
+            if of_drive
+            else None
         )
-        sense = p.encoder_polarity * (own.sense.position if of_drive else 1)
+        sense = p.encoder_polarity * (drive_scale.sense.position if of_drive else 1)
         if counts_rev is not None:
             return sense * counts_rev * p.ratio / (2 * math.pi), 0.0
         turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
         return sense * counts * turns, 0.0
     if name == "velocity":
-        if of_drive and _own_key(motor, binding) == _VELOCITY and own.rad_s is not None:
-            return p.encoder_polarity * own.sense.velocity * p.ratio / own.rad_s, 0.0
+        if of_drive and _own_key(motor, binding) == _VELOCITY and drive_scale.rad_s is not None:
+            return p.encoder_polarity * drive_scale.sense.velocity * p.ratio / drive_scale.rad_s, 0.0
         return p.encoder_polarity * counts * p.ratio / believed.ratio, 0.0
     if name == "torque":
         torque = motor.rated_torque_Nm * believed.ratio / (p.motor_rated_torque_Nm * p.ratio)
-        return p.motor_polarity * (own.sense.torque if of_drive else 1) * counts * torque, 0.0
+        return p.motor_polarity * (drive_scale.sense.torque if of_drive else 1) * counts * torque, 0.0
     return counts, binding.offset * (believed.transducer_polarity if name == "handle_torque" else 1)
