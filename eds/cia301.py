@@ -166,8 +166,8 @@ def predefined(index: int, subindex: int, node_id: int) -> int | None:
     }
     for first, identifier in ((0x1400, CobId.RPDO1), (0x1800, CobId.TPDO1)):
         if 0 <= index - first < 0x200 and subindex == 1:
-            known = index - first < _PREDEFINED_PDOS
-            return identifier + 0x100 * (index - first) + node_id if known else _INVALID
+            is_predefined = index - first < _PREDEFINED_PDOS
+            return identifier + 0x100 * (index - first) + node_id if is_predefined else _INVALID
         if 0 <= index - first < 0x200 and subindex == 2:
             return 255
     return fixed.get((index, subindex))

@@ -34,10 +34,10 @@ class DcfReader(ValueReader):
 
     def commissioning(self) -> tuple[int, int]:
         """Return node id and bit rate [bit/s] of a DCF's [DeviceComissioning] (CiA's spelling); 0 if absent."""
-        known = [self.sections[name] for name in COMMISSIONING if name in self.sections]
-        if not known:
+        sections = [self.sections[name] for name in COMMISSIONING if name in self.sections]
+        if not sections:
             return 0, 0
-        section = known[0]
+        section = sections[0]
         if section.name.lower() != COMMISSIONING[0]:
             text = f"the section head [{section.name}] does not follow CiA 306"
             self.say(section.line, text, "[DeviceComissioning]")
@@ -92,16 +92,16 @@ class DcfReader(ValueReader):
         COB-ID (no RTR, not valid) are settings and not part of the identifier.
         """
         assert isinstance(variable.default, int)
-        usual, said = variable.default + self.node_id, f"{section.what(key)}={section.shown(key)}"
+        usual, entry_text = variable.default + self.node_id, f"{section.what(key)}={section.shown(key)}"
         cob_id = variable.index in COMMUNICATION and variable.bits == 32
         goes = self.node_id > 0 and not (value ^ usual) & ~(COB_ID_FLAGS if cob_id else 0)
         if variable.access in ("ro", "const") and not (goes and value == usual):
-            self.say(section.at(key), f"{said} cannot be written", f"$NODEID+0x{variable.default:X}")
+            self.say(section.at(key), f"{entry_text} cannot be written", f"$NODEID+0x{variable.default:X}")
             return variable
         if goes:
             self.going.append(section.at(key))
             return replace(variable, default=value - self.node_id)
-        text = f"{said} is another identifier than the default $NODEID+0x{variable.default:X}"
+        text = f"{entry_text} is another identifier than the default $NODEID+0x{variable.default:X}"
         at = f" for the node id {self.node_id}" if self.node_id else ", and the file tells no node id"
         self.say(section.at(key), text + at, f"0x{value:X} with every node id")
         return replace(variable, default=value, node_relative=False, unreadable="")

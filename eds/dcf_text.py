@@ -50,10 +50,10 @@ def with_values(description: Description, values: Mapping[Place, Value], node_id
             continue
         place = _place(description, name)
         head = [f"[{name}]"] if name else []
-        kept = [line for line in lines if place is None or not VALUE.match(line)]
+        other_lines = [line for line in lines if place is None or not VALUE.match(line)]
         if place in left:
             head.append(f"ParameterValue={_spelled(description.variable(*place), left.pop(place))}")
-        out += [*head, *kept]
+        out += [*head, *other_lines]
     compact: dict[int, list[int]] = {}
     for index, subindex in sorted(left):
         compact.setdefault(index, []).append(subindex)

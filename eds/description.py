@@ -85,10 +85,10 @@ class Variable:
 
         A HighLimit of 0 without a LowLimit below 0 counts as not set: editors of EDS files write it.
         """
-        most = math.inf if self.whole is None else max(self.whole)
+        limit = math.inf if self.whole is None else max(self.whole)
         if self.high is None or (self.high == 0 and (self.low is None or self.low >= 0)):
-            return most
-        return min(most, self.high)
+            return limit
+        return min(limit, self.high)
 
     @property
     def bits(self) -> int:

@@ -169,11 +169,11 @@ def _numbered(reader: FileReader, name: str) -> dict[int, str]:
 
 def _section_of(reader: FileReader, variable: Variable, head: Section, lines: Mapping[int, Section]) -> Section | None:
     """Return the section of a sub-index, that of its object (a VAR, or CompactSubObj), or None if it is implied."""
-    own = lines.get(variable.line)
+    section = lines.get(variable.line)
     if not lines:
-        own = reader.sections.get(f"{variable.index:04x}sub{variable.subindex:x}")
-    if own is not None and own.subindex >= 0 and own.index == variable.index:
-        return own
+        section = reader.sections.get(f"{variable.index:04x}sub{variable.subindex:x}")
+    if section is not None and section.subindex >= 0 and section.index == variable.index:
+        return section
     if head.get("compactsubobj"):
         return head if variable.subindex else None
     return head if head.line == variable.line and variable.subindex == 0 and head.name else None

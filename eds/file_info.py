@@ -73,9 +73,9 @@ class FileReader(DcfReader):
             self.integer(device, key, 0)
         for key, (first, name) in PDO_NUMBERS.items():
             described = sum(first <= index < first + PDO_COUNT for index in objects)
-            said = self.integer(device, key, described)
-            if said != described:
-                text = f"{device.what(key)}={said}, but {described} {name} are described"
+            stated = self.integer(device, key, described)
+            if stated != described:
+                text = f"{device.what(key)}={stated}, but {described} {name} are described"
                 self.say(device.at(key), text, str(described))
         return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
 
@@ -90,13 +90,13 @@ class FileReader(DcfReader):
         line = device.at("compactpdo")
         for key, (first, name) in PDO_NUMBERS.items():
             described = sum(first <= index < first + PDO_COUNT for index in objects)
-            said = self.integer(device, key, described)
-            if not compact or not described < said <= PDO_COUNT:
+            stated = self.integer(device, key, described)
+            if not compact or not described < stated <= PDO_COUNT:
                 continue
-            text = f"{device.what('compactpdo')}={compact}: {said} {name} are told of, {described} are described"
-            self.say(line, text, f"the {said - described} that CiA 306 implies")
+            text = f"{device.what('compactpdo')}={compact}: {stated} {name} are told of, {described} are described"
+            self.say(line, text, f"the {stated - described} that CiA 306 implies")
             free = [index for index in range(first, first + PDO_COUNT) if index not in objects]
-            for index in free[: said - described]:
+            for index in free[: stated - described]:
                 implied[index] = _communication(index, compact, line)
                 if index + 0x200 not in objects:
                     implied[index + 0x200] = _mapping(index + 0x200, line)
@@ -116,17 +116,19 @@ class FileReader(DcfReader):
                 self.say(1, f"[{name}] is missing", "an empty list")
                 continue
             keys = [key for key in section.entries if key.isdecimal()]
-            own = {key: self.integer(section, key, -1) for key in keys}
-            if len(own) != self.integer(section, "supportedobjects", len(own)):
-                said = section.get("supportedobjects")
-                self.say(section.at("supportedobjects"), f"[{name}] lists {len(own)}, not {said}", str(len(own)))
+            entries = {key: self.integer(section, key, -1) for key in keys}
+            if len(entries) != self.integer(section, "supportedobjects", len(entries)):
+                stated = section.get("supportedobjects")
+                self.say(
+                    section.at("supportedobjects"), f"[{name}] lists {len(entries)}, not {stated}", str(len(entries))
+                )
             numbers = sorted(int(key) for key in keys)
             if numbers and numbers != list(range(1, len(numbers) + 1)):
                 gap = next(k for k, number in enumerate(numbers, 1) if number != k)
                 self.say(
                     section.line, f"[{name}] has no entry {gap}, its numbers jump to {numbers[-1]}", "no such entry"
                 )
-            for key, index in own.items():
+            for key, index in entries.items():
                 if index < 0:
                     continue
                 what = f"[{name}] lists {index:04X}h"
@@ -135,7 +137,7 @@ class FileReader(DcfReader):
                 if index in listed:
                     self.say(section.at(key), f"{what}, which [{listed[index]}] lists already", "one object")
                 listed.setdefault(index, name)
-            misplaced = [i for i in own.values() if i >= 0 and not any(low <= i <= high for low, high in ranges)]
+            misplaced = [i for i in entries.values() if i >= 0 and not any(low <= i <= high for low, high in ranges)]
             if misplaced:
                 text = f"[{name}] lists {_some(misplaced)}, which belong into another list"
                 self.say(section.line, text, "objects like the others")
@@ -214,8 +216,8 @@ def _mapping(index: int, line: int) -> Object:
     return Object(index, "PDO mapping parameter", RECORD, MappingProxyType(variables))
 
 
-def _some(indices: Iterable[int], most: int = 3) -> str:
+def _some(indices: Iterable[int], limit: int = 3) -> str:
     """Return "2000h, 2001h, 2002h and 5 more"."""
     names = [f"{index:04X}h" for index in indices]
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -172,10 +172,10 @@ class _Reader(FileReader):
             self.say(head.line, f"[{head.name}] has no ParameterName", f"'{name}'")
         count = self.integer(head, "compactsubobj", 0)
         if not 0 <= count <= MOST_SUBINDICES:
-            most = MOST_SUBINDICES if count == MOST_SUBINDICES + 1 else 0
+            assumed = MOST_SUBINDICES if count == MOST_SUBINDICES + 1 else 0
             text = f"[{head.name}] CompactSubObj={count} is not 0 to {MOST_SUBINDICES}"
-            self.say(head.at("compactsubobj"), text, str(most), "warning" if most else "error")
-            count = most
+            self.say(head.at("compactsubobj"), text, str(assumed), "warning" if assumed else "error")
+            count = assumed
         kind = self.object_type(head, subs, count)
         if (subs or count) and head.get("parametervalue"):
             text = f"{head.what('parametervalue')} belongs to no sub-index"
@@ -186,10 +186,10 @@ class _Reader(FileReader):
         variables = self.compact(index, head, name, count) if count else {}
         for subindex in sorted(subs):
             section = subs[subindex]
-            own = section.get("parametername") or f"{name} {subindex}"
+            sub_name = section.get("parametername") or f"{name} {subindex}"
             if not section.get("parametername"):
-                self.say(section.line, f"[{section.name}] has no ParameterName", f"'{own}'")
-            variables[subindex] = self.variable(index, subindex, section, own, kind)
+                self.say(section.line, f"[{section.name}] has no ParameterName", f"'{sub_name}'")
+            variables[subindex] = self.variable(index, subindex, section, sub_name, kind)
         if not variables:
             self.say(head.line, f"[{head.name}] is an array or record without sub-indices", "an empty object", "error")
         self.configure(index, variables)
@@ -200,12 +200,12 @@ class _Reader(FileReader):
         self, index: int, head: Section, subs: Mapping[int, Section], variables: Mapping[int, Variable], compact: int
     ) -> None:
         """Check SubNumber and the default of sub-index 0 against the described sub-indices."""
-        said = self.integer(head, "subnumber", 0)
-        if subs and not compact and said != len(subs):
-            number = f"SubNumber={said}" if head.get("subnumber") else "SubNumber is missing"
+        stated = self.integer(head, "subnumber", 0)
+        if subs and not compact and stated != len(subs):
+            number = f"SubNumber={stated}" if head.get("subnumber") else "SubNumber is missing"
             self.say(head.at("subnumber"), f"[{head.name}] {number}, {len(subs)} are described", str(len(subs)))
-        if compact and said not in (0, compact, compact + 1):
-            text = f"[{head.name}] SubNumber={said}, but CompactSubObj={compact}"
+        if compact and stated not in (0, compact, compact + 1):
+            text = f"[{head.name}] SubNumber={stated}, but CompactSubObj={compact}"
             self.say(head.at("subnumber"), text, f"{compact} entries")
         if 9 in subs and 0x10 in subs and not any(subindex in subs for subindex in range(0xA, 0x10)):
             line = subs[0x10].line
@@ -252,18 +252,18 @@ class _Reader(FileReader):
         first = self.variable(index, 1, head, names.get(1) or f"{name} 1", ARRAY)
         variables = {0: number, 1: first}
         for subindex in range(2, count + 1):
-            own = names.get(subindex) or f"{name} {subindex}"
-            variables[subindex] = Variable(**{**vars(first), "subindex": subindex, "name": own})
+            sub_name = names.get(subindex) or f"{name} {subindex}"
+            variables[subindex] = Variable(**{**vars(first), "subindex": subindex, "name": sub_name})
         return variables
 
     def variable(self, index: int, subindex: int, section: Section, name: str, kind: int) -> Variable:
         code = self.data_type(index, subindex, section, kind)
         access = self.bare(section, "accesstype").lower().replace("/", "")
         if access not in ACCESS_TYPES:
-            said = f"AccessType={section.shown('accesstype')} is unknown" if access else "AccessType is missing"
+            access_text = f"AccessType={section.shown('accesstype')} is unknown" if access else "AccessType is missing"
             usual = "const" if subindex == 0 and kind in (ARRAY, RECORD) else "rw"
             assumed = ACCESS_WORDS.get(re.sub(r"\W", "", access), usual)
-            self.say(section.at("accesstype"), f"[{section.name}] {said}", assumed)
+            self.say(section.at("accesstype"), f"[{section.name}] {access_text}", assumed)
             access = assumed
         default, relative, unreadable = self.value(section, "defaultvalue", code)
         if twice := self.ambiguous(section, "defaultvalue"):

@@ -150,7 +150,7 @@ class SubBlocks(Joined):
         self._final = number if data[0] & 0x80 else 0
         return remark
 
-    def acknowledge(self, number: int, most: int) -> str:
+    def acknowledge(self, number: int, block_size: int) -> str:
         """Process an acknowledgement of the segments up to `number`; return a remark on it or ""."""
         remark = ""
         if number < self.number:
@@ -159,7 +159,7 @@ class SubBlocks(Joined):
             remark = f"of the segments up to {number} some are not in the recording"
         self.finished = 0 < self._final <= number
         self._next_block(number)
-        self.most = most
+        self.most = block_size
         return remark
 
     def _next_block(self, number: int) -> None:

@@ -250,11 +250,13 @@ class SectionReader:
         if match and not strict:
             usual = f"{index:04X}" if subindex < 0 else f"{index:04X}sub{subindex:X}"
             self.say(number, f"the section head [{cut(name)}] does not follow CiA 306", f"[{usual}]")
-        known = self.sections.get(key)
-        if known is not None:
-            self.say(number, f"the section [{cut(name)}] is in line {known.line} already", "one section, first values")
-            known.reopened = True
-            return known
+        earlier = self.sections.get(key)
+        if earlier is not None:
+            self.say(
+                number, f"the section [{cut(name)}] is in line {earlier.line} already", "one section, first values"
+            )
+            earlier.reopened = True
+            return earlier
         return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
 
     def enter_again(self, section: Section, key: str, spelled: str, value: str, number: int) -> None:

@@ -250,13 +250,13 @@ class XddReader(SectionReader):
 
     def section(self, element: XmlElement, name: str, index: int, subindex: int = -1) -> Section:
         """Return a new section, or the earlier section of the same object."""
-        known = self.sections.get(name.lower())
-        if known is not None:
+        earlier = self.sections.get(name.lower())
+        if earlier is not None:
             self.say(
-                element.line, f"the object [{name}] is in line {known.line} already", "one object, the first values"
+                element.line, f"the object [{name}] is in line {earlier.line} already", "one object, the first values"
             )
-            known.reopened = True
-            return known
+            earlier.reopened = True
+            return earlier
         return self.sections.setdefault(name.lower(), Section(name, element.line, index=index, subindex=subindex))
 
     def enter(self, section: Section, element: XmlElement) -> None:
@@ -304,13 +304,13 @@ class XddReader(SectionReader):
 
     def direct(self, section: Section) -> None:
         """Translate PDOmapping; CiA 306 states the direction in the access type."""
-        said, line = section.entries.get("pdomapping", ("", section.line))
-        if said.lower() not in MAPPINGS:
+        direction, line = section.entries.get("pdomapping", ("", section.line))
+        if direction.lower() not in MAPPINGS:
             return
-        section.entries["pdomapping"] = (MAPPINGS[said.lower()], line)
+        section.entries["pdomapping"] = (MAPPINGS[direction.lower()], line)
         access, at = section.entries.get("accesstype", ("", line))
-        if access.lower() == "rw" and said.lower() in ONE_WAY:
-            section.entries["accesstype"] = (ONE_WAY[said.lower()], at)
+        if access.lower() == "rw" and direction.lower() in ONE_WAY:
+            section.entries["accesstype"] = (ONE_WAY[direction.lower()], at)
 
     def enter_device(self, root: XmlElement) -> None:
         """Add the data of the file, of the device and of its commissioning."""

@@ -57,11 +57,11 @@ def xdd_text_of(content: FileContent) -> str:
     network = _body(root, "CommunicationNetwork", sections.get("FileInfo", {}), Counter())
     layers = SubElement(network, "ApplicationLayers")
     heads = [row.index for row in content.rows if row.subindex < 0]
-    mandatory, own = (sum(index in part for index in heads) for part in (MANDATORY, MANUFACTURER))
+    mandatory, manufacturer = (sum(index in part for index in heads) for part in (MANDATORY, MANUFACTURER))
     counts = {
         "mandatoryObjects": mandatory,
-        "optionalObjects": len(heads) - mandatory - own,
-        "manufacturerObjects": own,
+        "optionalObjects": len(heads) - mandatory - manufacturer,
+        "manufacturerObjects": manufacturer,
     }
     listed, top = SubElement(layers, "CANopenObjectList", {key: str(count) for key, count in counts.items()}), None
     _parameters(device, content)
@@ -121,11 +121,11 @@ def _body(root: Element, kind: str, file: Mapping[str, str], lost: Counter[str])
     reference = SubElement(header, "ISO15745Reference")
     for name, text in (("ISO15745Part", "1"), ("ISO15745Edition", "1"), ("ProfileTechnology", "CANopen")):
         SubElement(reference, name).text = text
-    own = {key.lower(): text for key, text in file.items() if text}
+    remaining = {key.lower(): text for key, text in file.items() if text}
     attributes = REQUIRED | {
-        name: xml(_moment(own.pop(key.lower()))) for name, key in FILE.items() if key.lower() in own
+        name: xml(_moment(remaining.pop(key.lower()))) for name, key in FILE.items() if key.lower() in remaining
     }
-    for key in own:
+    for key in remaining:
         lost[f"[FileInfo] {next(spelled for spelled in file if spelled.lower() == key)}"] += 1
     return SubElement(profile, "ProfileBody", {"xsi:type": f"ProfileBody_{kind}_CANopen", **attributes})
 
@@ -140,18 +140,18 @@ def _moment(text: str) -> str:
 
 
 def _identity(identity: Element, sections: Mapping[str, Keys], revision: str, lost: Counter[str]) -> None:
-    own = {key.lower(): text for key, text in sections.get("DeviceInfo", {}).items()}
+    entries = {key.lower(): text for key, text in sections.get("DeviceInfo", {}).items()}
     for name, key in IDENTITY.items():
-        text = own.pop(key.lower(), "")
+        text = entries.pop(key.lower(), "")
         if text:
             SubElement(identity, name).text = xml(text)
         if name == "productID":
             _comments(identity, sections.get("Comments", {}))
     taken = {key.lower() for key in FEATURES.values()} | {"simplebootupmaster", "compactpdo"}
-    for key in own.keys() - taken:
-        if key == "revisionnumber" and _number(own[key]) == _number(revision):
+    for key in entries.keys() - taken:
+        if key == "revisionnumber" and _number(entries[key]) == _number(revision):
             continue
-        if own[key] not in ("", "0") and not key.startswith("baudrate_"):
+        if entries[key] not in ("", "0") and not key.startswith("baudrate_"):
             spelled = next(spelled for spelled in sections["DeviceInfo"] if spelled.lower() == key)
             lost[f"[DeviceInfo] {spelled}"] += 1
 
@@ -207,12 +207,14 @@ def _management(network: Element, sections: Mapping[str, Keys]) -> None:
     if device.get("simplebootupmaster"):
         text = _said("SimpleBootUpMaster", device["simplebootupmaster"])
         SubElement(management, "CANopenMasterFeatures", {"bootUpMaster": text})
-    own = {key.lower(): text for key, text in sections.get("DeviceComissioning", {}).items() if text}
-    if own:
-        attributes = {name: _said(key, own[key.lower()]) for name, key in COMMISSIONING.items() if key.lower() in own}
-        attributes["nodeID"] = xml(_number(own.get("nodeid", "0")))
-        if "baudrate" in own:
-            attributes["actualBaudRate"] = xml(f"{_number(own['baudrate'])} Kbps")
+    entries = {key.lower(): text for key, text in sections.get("DeviceComissioning", {}).items() if text}
+    if entries:
+        attributes = {
+            name: _said(key, entries[key.lower()]) for name, key in COMMISSIONING.items() if key.lower() in entries
+        }
+        attributes["nodeID"] = xml(_number(entries.get("nodeid", "0")))
+        if "baudrate" in entries:
+            attributes["actualBaudRate"] = xml(f"{_number(entries['baudrate'])} Kbps")
         SubElement(management, "deviceCommissioning", attributes)
 
 

@@ -81,20 +81,20 @@ def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
     """Scale the blocks, and update the driver's checks from 2010h, 2011h and 2012h."""
-    own = objects.own
+    own_number = objects.own
     _scale_output(record, objects)
     _scale_inputs(record, objects)
-    record["max_A"], record["short_A"] = own(0x2010, 1, 1500) / 1000, own(0x2010, 2, 3000) / 1000
-    record["least_A"], record["open_ns"] = own(0x2010, 3, 50) / 1000, own(0x2010, 4, 50_000) * 1000
-    warm, hot = own(0x2011, 1, 900) / 10, own(0x2011, 2, 1100) / 10
+    record["max_A"], record["short_A"] = own_number(0x2010, 1, 1500) / 1000, own_number(0x2010, 2, 3000) / 1000
+    record["least_A"], record["open_ns"] = own_number(0x2010, 3, 50) / 1000, own_number(0x2010, 4, 50_000) * 1000
+    warm, hot = own_number(0x2011, 1, 900) / 10, own_number(0x2011, 2, 1100) / 10
     record["warm_degC"], record["hot_degC"] = min(warm, hot), hot
-    record["cooled_degC"], record["share_left"] = hot - own(0x2011, 3, 100) / 10, own(0x2011, 4, 50) / 100
+    record["cooled_degC"], record["share_left"] = hot - own_number(0x2011, 3, 100) / 10, own_number(0x2011, 4, 50) / 100
     coil_A_Nm, board_Nm = float(record["coil_A_Nm"]), float(record["board_Nm"])
     limit_Nm = record["max_A"] / coil_A_Nm if coil_A_Nm > 0 else math.inf
     record["limit_Nm"] = min(limit_Nm, board_Nm) if board_Nm > 0 else limit_Nm
     record["derated"] = 1  # recompute with the present temperature
-    record["demag_A"], record["demag_ns"] = own(0x2012, 1, 0) / 1000, own(0x2012, 2, 5000) * 1000
-    record["demag_delay_ns"] = own(0x2012, 3, 20_000) * 1000
+    record["demag_A"], record["demag_ns"] = own_number(0x2012, 1, 0) / 1000, own_number(0x2012, 2, 5000) * 1000
+    record["demag_delay_ns"] = own_number(0x2012, 3, 20_000) * 1000
 
 
 def _auto_zero(record: NodeRecord, objects: Objects, channel: int) -> None:

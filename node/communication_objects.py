@@ -169,14 +169,14 @@ class Communication:
         """Abort if two services would receive one identifier, which `_route` assigns to one of them; RPDOs may
         share an identifier.
         """
-        own = _RECEIVERS.get(index)
-        if own is None or subindex != (own in (core.ROUTE_SDO, core.ROUTE_PDO)):
+        route = _RECEIVERS.get(index)
+        if route is None or subindex != (route in (core.ROUTE_SDO, core.ROUTE_PDO)):
             return
-        listens = {core.ROUTE_SYNC: True, core.ROUTE_TIME: bool(value & CONSUMER)}.get(own, not value & INVALID)
+        listens = {core.ROUTE_SYNC: True, core.ROUTE_TIME: bool(value & CONSUMER)}.get(route, not value & INVALID)
         other = int(self._node["route"][value & 0x7FF])
         if core.ROUTE_PDO <= other < core.ROUTE_CONSUMER:
             other = core.ROUTE_PDO
-        if listens and other not in (core.ROUTE_NONE, own):
+        if listens and other not in (core.ROUTE_NONE, route):
             raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
 
     def refresh(self, index: int, subindex: int, t_ns: int) -> None:

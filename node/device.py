@@ -132,10 +132,10 @@ class Device:
         """Number of boot-ups: after power-on, and after each reset."""
         self.on_download: Callable[[int, int], None] | None = None
         """Called after an SDO client has written an object (index, sub-index)."""
-        made: dict[Any, tuple[Mapping[str, Any], DeviceState]] = description.derived.setdefault(Device, {})
+        cache: dict[Any, tuple[Mapping[str, Any], DeviceState]] = description.derived.setdefault(Device, {})
         key = profile.name, profile.objects, profile.behaviour, profile.started, node_id, int(record["station"])
-        if new and key in made:  # the same device again
-            fields, state = made[key]
+        if new and key in cache:  # the same device again
+            fields, state = cache[key]
             for name, value in fields.items():
                 record[name] = value
             self.adopt(state)
@@ -144,9 +144,9 @@ class Device:
         before = record.copy()
         self._tabulate()
         self._load(0x0000, 0)
-        if new and len(made) < MOST_MADE:
+        if new and len(cache) < MOST_MADE:
             changed = (name for name in record.dtype.names or () if not np.array_equal(before[name], record[name]))
-            made[key] = {name: np.copy(record[name]) for name in changed}, self.state()
+            cache[key] = {name: np.copy(record[name]) for name in changed}, self.state()
 
     @property
     def unreadable(self) -> tuple[str, ...]:

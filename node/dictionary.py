@@ -85,10 +85,10 @@ class Dictionary:
     @property
     def _defaults(self) -> _Defaults:
         """Defaults for the present node id, computed once per description."""
-        made = self.description.derived.setdefault(_Defaults, {})
-        if self.node_id not in made:
-            made[self.node_id] = _Defaults.of(self.description, self.node_id)
-        defaults: _Defaults = made[self.node_id]
+        cache = self.description.derived.setdefault(_Defaults, {})
+        if self.node_id not in cache:
+            cache[self.node_id] = _Defaults.of(self.description, self.node_id)
+        defaults: _Defaults = cache[self.node_id]
         return defaults
 
     @property
@@ -242,19 +242,19 @@ class _Defaults(NamedTuple):
     @classmethod
     def of(cls, description: Description, node_id: int) -> _Defaults:
         """Return the defaults: the EDS's, else CiA 301's, else the zero of the type."""
-        wrong = unreadable(description, 1 if node_id == UNCONFIGURED else node_id)
+        unreadable_pdos = unreadable(description, 1 if node_id == UNCONFIGURED else node_id)
         rows = []
         for index, entry in description.objects.items():
             for subindex, variable in entry.variables.items():
                 value = _default_value(description, index, subindex, node_id)
-                if index in wrong and subindex == 1:
+                if index in unreadable_pdos and subindex == 1:
                     value = value | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID
-                elif index - MAP_OFFSET in wrong and subindex == 0:
+                elif index - MAP_OFFSET in unreadable_pdos and subindex == 0:
                     value = 0
                 kind = data_type(variable)
                 whole = kind.kind in ("bool", "int") and isinstance(value, int)
                 rows.append(((index, subindex), value, _raw(kind, value) if whole else None))
-        return cls(tuple(rows), MappingProxyType(wrong))
+        return cls(tuple(rows), MappingProxyType(unreadable_pdos))
 
 
 def _default_value(description: Description, index: int, subindex: int, node_id: int) -> Value:

@@ -106,7 +106,7 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
     """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, the gains
     2010h, the units and the period 60C2h.
     """
-    number, own = objects.number, objects.own
+    number, own_number = objects.number, objects.own
 
     def value(index: int, subindex: int) -> int:
         return number(index, subindex, 0)
@@ -120,9 +120,9 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
     with suppress(ValueError):
         record["unit_counts_s"] = velocity_unit(value)[0] / (2 * math.pi) * counts_rev
     kp, ki, position_kp = _gains(record)
-    record["speed_kp"] = own(0x2010, 1, round(kp * 1e6)) * 1e-6
-    record["speed_ki"] = own(0x2010, 2, round(ki * 1e6)) * 1e-6
-    record["position_kp"] = own(0x2010, 3, round(position_kp * 1e3)) * 1e-3
+    record["speed_kp"] = own_number(0x2010, 1, round(kp * 1e6)) * 1e-6
+    record["speed_ki"] = own_number(0x2010, 2, round(ki * 1e6)) * 1e-6
+    record["position_kp"] = own_number(0x2010, 3, round(position_kp * 1e3)) * 1e-3
     record["period_ns"] = round(number(0x60C2, 1) * 10.0 ** min(number(0x60C2, 2, -3), 0) * 1e9)
 
 

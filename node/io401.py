@@ -90,8 +90,8 @@ def _fail(n: NodeRecord) -> None:
     for k in range(PORTS):
         if n.failed >> k & 1 == 0:
             mode = values[DIGITAL_ERROR_MODE + k]
-            chosen = values[DIGITAL_ERROR_VALUE + k] & mode | values[DIGITAL_OUT + k] & ~mode
-            n.out_digital[k] = (chosen ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
+            bits = values[DIGITAL_ERROR_VALUE + k] & mode | values[DIGITAL_OUT + k] & ~mode
+            n.out_digital[k] = (bits ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0 and values[ANALOGUE_ERROR_MODE + k] == 1:
             n.out_analogue[k] = _allowed(n, k, _within(n, values[ANALOGUE_ERROR_VALUE + k]))

@@ -64,11 +64,11 @@ class Lss:
         self._memory, self._restart = store, restart
         self.state = LssState.WAITING
         self.node_id, self.rate = node_id, 0  # the rate: an index of `BIT_RATES`; no bus here changes its bit rate
-        kept = store.section(_SECTION)
-        if len(kept.get("node_id", b"")) == 1 and _valid(kept["node_id"][0]):
-            self.node_id = kept["node_id"][0]
-        if len(kept.get("bit_rate", b"")) == 1 and kept["bit_rate"][0] in BIT_RATES:
-            self.rate = kept["bit_rate"][0]
+        stored = store.section(_SECTION)
+        if len(stored.get("node_id", b"")) == 1 and _valid(stored["node_id"][0]):
+            self.node_id = stored["node_id"][0]
+        if len(stored.get("bit_rate", b"")) == 1 and stored["bit_rate"][0] in BIT_RATES:
+            self.rate = stored["bit_rate"][0]
         self.persistent_node_id = self.pending_node_id = self.node_id
         self.persistent_rate = self.pending_rate = self.rate
         self._heard: dict[int, int] = {}

@@ -20,8 +20,8 @@ __all__ = ["confinement_changed", "on_frame", "on_time"]
 @kernel
 def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> int:
     """Call `node.core.on_frame`, at the bus time `t_ns`."""
-    first, own = out.count, own_ns(n, t_ns)
-    due = core.on_frame(n, own, can_id, length, data, out)
+    first, node_ns = out.count, own_ns(n, t_ns)
+    due = core.on_frame(n, node_ns, can_id, length, data, out)
     if n.clock_on:
         to_bus(n, out, first)
     return int(due)
@@ -30,8 +30,8 @@ def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out:
 @kernel
 def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Call `node.core.on_time`, at the bus time `t_ns`."""
-    first, own = out.count, own_ns(n, t_ns)
-    core.on_time(n, own, out)
+    first, node_ns = out.count, own_ns(n, t_ns)
+    core.on_time(n, node_ns, out)
     if n.clock_on:
         to_bus(n, out, first)
 
@@ -39,7 +39,7 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
 @kernel
 def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) -> None:
     """Call `node.core.confinement_changed`, at the bus time `t_ns`."""
-    first, own = out.count, own_ns(n, t_ns)
-    core.confinement_changed(n, own, confinement, out)
+    first, node_ns = out.count, own_ns(n, t_ns)
+    core.confinement_changed(n, node_ns, confinement, out)
     if n.clock_on:
         to_bus(n, out, first)

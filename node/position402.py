@@ -43,9 +43,9 @@ def fastest(n: NodeRecord) -> float:
 
 
 @kernel
-def _bounded(n: NodeRecord, rate: int, most: int) -> float:
+def _bounded(n: NodeRecord, rate: int, limit: int) -> float:
     """Return an acceleration, counts/s^2, within its limit (0: none)."""
-    return float(max(min(rate, most) if most > 0 else rate, 1)) * n.unit_counts_s
+    return float(max(min(rate, limit) if limit > 0 else rate, 1)) * n.unit_counts_s
 
 
 @kernel
@@ -215,8 +215,8 @@ def control(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     if n.mode == _CSP:
         speed += values[slots402.VELOCITY_OFFSET] * n.unit_counts_s
         n.feed_forward_pm += values[slots402.TORQUE_OFFSET]
-    most = fastest(n)
-    n.speed_demand = min(max(speed, -most), most) / n.unit_counts_s
+    speed_limit = fastest(n)
+    n.speed_demand = min(max(speed, -speed_limit), speed_limit) / n.unit_counts_s
     motion402.control_speed(n, elapsed_ns)
     n.ramping = 1  # the loop also runs without calls
     if n.values[slots402.FOLLOWING_WINDOW] == slots402.NO_WINDOW or abs(error) <= values[slots402.FOLLOWING_WINDOW]:

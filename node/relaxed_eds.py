@@ -196,9 +196,9 @@ def _variable(description: Description, key: Key) -> Variable | None:
 
 def _with(variable: Variable, value: int) -> Variable:
     """Return the variable with a default within its type and limits."""
-    least, most = variable.whole or (-_FARTHEST - 1, _FASTEST)
-    least = max(least, int(variable.low)) if variable.low is not None else least
-    return replace(variable, default=max(least, min(value, most, int(min(variable.largest, 1 << 63)))))
+    lowest, highest = variable.whole or (-_FARTHEST - 1, _FASTEST)
+    lowest = max(lowest, int(variable.low)) if variable.low is not None else lowest
+    return replace(variable, default=max(lowest, min(value, highest, int(min(variable.largest, 1 << 63)))))
 
 
 def _stands(variable: Variable) -> str:

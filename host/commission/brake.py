@@ -81,7 +81,7 @@ class Brake(Step):
     name = "brake"
     title = "brake's torque at each set-point, up and down"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
@@ -94,7 +94,7 @@ class Brake(Step):
         )
         return round(TOP_SHARE * min(axis.limits.brake_torque_Nm, brake_end_Nm(axis), coil), 3)
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the brake's torque and the operator's strokes."""
         return Risk(
             "The brake's torque climbs a stair and comes down again.",
@@ -107,15 +107,15 @@ class Brake(Step):
             "and keep to it against the brake.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the run with the stair."""
         axis = rig.one_axis()
-        length = self.risk(axis, given).seconds
+        length = self.risk(axis, inputs).seconds
         move = move_s(axis, SPEED_RAD_S, MOVE_S)
         stroke = strokes(length, SPEED_RAD_S, move, DWELL_S)
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the table, the hysteresis, and the ratio of break-away to slip torque."""
         stairs = _stairs(runs[0].recording, axis)
         zero = stairs[0].slip_Nm  # before the iron has a history
@@ -125,7 +125,7 @@ class Brake(Step):
             here = [stair for stair in stairs if stair.raw == raw]
             torque = float(np.mean([stair.slip_Nm for stair in here])) - zero
             of_mean = math.hypot(*(stair.reach_Nm for stair in here)) / len(here)
-            reaches.append(math.hypot(of_mean, stairs[0].reach_Nm, torque * given.share(SCALE)))
+            reaches.append(math.hypot(of_mean, stairs[0].reach_Nm, torque * inputs.share(SCALE)))
             table.append([raw, rounded(torque, reaches[-1])])
         if len(table) < 3:
             raise CommissionError(
@@ -149,7 +149,7 @@ class Brake(Step):
             for stair in (up, down)
         ]
         reach = max(*reaches, *branches)
-        remarks = given.exact({"the transducer's scale (step weight)": (SCALE,)})
+        remarks = inputs.exact({"the transducer's scale (step weight)": (SCALE,)})
         if branches:
             remarks = (
                 *remarks,

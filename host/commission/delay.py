@@ -76,7 +76,7 @@ class Delay(Step):
     name = "delay"
     title = "delays: SYNC to torque and to coil current"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the roles that the rig lacks, or None."""
         bound = axis.allocation.bound
         if bound.get("torque") is None and bound.get("coil_current") is None:
@@ -91,7 +91,7 @@ class Delay(Step):
     def _brake(self, axis: Axis) -> float:
         return min(BRAKE_NM, axis.limits.brake_torque_Nm) if axis.allocation.bound.get("coil_current") else 0.0
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the switched torques, and the limit of the sign check before them."""
         return Risk(
             "The motor's torque is switched to and fro, too little to move the handle; then the brake's.",
@@ -100,7 +100,7 @@ class Delay(Step):
             seconds=SECONDS,
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the motor's run and the brake's."""
         axis = rig.one_axis()
         rest = [f'{{kind="rest", duration_s={SECONDS}}}']
@@ -117,7 +117,7 @@ class Delay(Step):
             exercises.append(exercise("delay-brake", rig, "square", [0.0, HALF_S, brake], rest, hand=FREE_HAND))
         return tuple(exercises)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return delays and time constants; the rig file has no key for them."""
         rows = [
             ("motor's torque", "motor.target_torque_Nm", "motor.torque_Nm", 2 * self._motor(axis)),

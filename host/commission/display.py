@@ -31,12 +31,12 @@ class Display(Step):
     def _mode(self, axis: Axis) -> str:
         return next(mode for mode in MODES if mode in axis.mode)
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the limits of the mode, from the rig file."""
         mode = self._mode(axis)
-        chosen = axis.mode[mode]
+        mode_keys = axis.mode[mode]
         return Risk(
-            f"The rig displays friction in mode {mode}: F_s {chosen.F_s_Nm:g} Nm, F_d {chosen.F_d_Nm:g} Nm.",
+            f"The rig displays friction in mode {mode}: F_s {mode_keys.F_s_Nm:g} Nm, F_d {mode_keys.F_d_Nm:g} Nm.",
             motor_Nm=max(motor_limit_Nm(axis, mode), axis.limits.sign_check_torque_Nm if mode == "active" else 0.0),
             brake_Nm=axis.limits.brake_torque_Nm if mode != "active" else 0.0,
             seconds=12.0,
@@ -44,13 +44,13 @@ class Display(Step):
             "1 s each way, with a stop of 1 s between.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run with the rig file's law."""
         schedule = f"phase=[{', '.join(SCHEDULE)}]"
-        chosen = rig.variant(schedule)
-        return (Exercise(self.name, chosen, self._mode(rig.one_axis()), chosen.schedule_s, (schedule,)),)
+        variant = rig.variant(schedule)
+        return (Exercise(self.name, variant, self._mode(rig.one_axis()), variant.schedule_s, (schedule,)),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the figures of the hold test: whether the handle stayed still while it was pushed."""
         recording = runs[0].recording
         measures = measure(recording)

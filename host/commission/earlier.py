@@ -31,7 +31,7 @@ def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
     `steps`: `Progress.steps`
     """
-    known: dict[str, float] = {}
+    reaches: dict[str, float] = {}
     for step in steps.values():
         for finding in step["findings"]:
             old, new, reach = finding["old"], finding["new"], finding["uncertainty"]
@@ -39,13 +39,13 @@ def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
             if reach is None:
                 continue
             if name == TABLE and new:
-                known[name] = reach / max(abs(torque) for _, torque in new)
+                reaches[name] = reach / max(abs(torque) for _, torque in new)
             if not isinstance(new, int | float):
                 continue
-            kept = new if finding["changed"] else old
-            if isinstance(kept, int | float) and kept:
-                known[name] = (reach + abs(new - kept)) / abs(kept)
-    return known
+            value = new if finding["changed"] else old
+            if isinstance(value, int | float) and value:
+                reaches[name] = (reach + abs(new - value)) / abs(value)
+    return reaches
 
 
 def rounded(value: float, reach: float) -> float:

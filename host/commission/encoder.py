@@ -55,38 +55,38 @@ class Encoder(Step):
     name = "encoder"
     title = "encoder's sign and the ratio, by hand between two marks"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the input that the operator has not given, or None."""
-        if given.marks_rad is None:
+        if inputs.marks_rad is None:
             return "give --marks-rad: the angle between two marks at the handle"
-        if not LEAST_RAD <= given.marks_rad <= min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad):
-            most = min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad)
-            return f"--marks-rad {given.marks_rad:g}: expected from {LEAST_RAD:g} to {most:.3g} (limits.travel_rad)"
+        if not LEAST_RAD <= inputs.marks_rad <= min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad):
+            largest_rad = min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad)
+            return f"--marks-rad {inputs.marks_rad:g}: expected from {LEAST_RAD:g} to {largest_rad:.3g} (limits.travel_rad)"
         return None
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the risk: only the hand moves the handle."""
         return Risk(
             "Only your hand moves the handle.",
-            speed_rad_s=(given.marks_rad or 0.0) / MOVE_S,
-            travel_rad=given.marks_rad or 0.0,
+            speed_rad_s=(inputs.marks_rad or 0.0) / MOVE_S,
+            travel_rad=inputs.marks_rad or 0.0,
             seconds=REST_S + MOVE_S + STAY_S,
             operator=f"Set the handle to the first mark, and leave it for {REST_S:g} s; turn it within {MOVE_S:g} s "
             f"to the second mark, in the positive sense, and leave it there for {STAY_S:g} s.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run without torque of motor and brake."""
-        speed = (given.marks_rad or 0.0) / MOVE_S
+        speed = (inputs.marks_rad or 0.0) / MOVE_S
         phases = (
             f'{{kind="rest", duration_s={REST_S}}}',
             strokes(MOVE_S + STAY_S, speed, MOVE_S, STAY_S),
         )
         return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return sign and ratio."""
-        recording, marks = runs[0].recording, given.marks_rad or 0.0
+        recording, marks = runs[0].recording, inputs.marks_rad or 0.0
         position = axis.allocation.bound["position"]
         count = abs(position.scale)
         angle = recording["motor.position_rad"]
@@ -99,10 +99,10 @@ class Encoder(Step):
                 f"the encoder counts {turned:.4f} rad between marks {marks:g} rad apart: did the handle turn?"
             )
         counts = round(abs(turned) / count)
-        share = math.hypot(first.reach, second.reach, given.marks_reach_rad) / abs(turned)
+        share = math.hypot(first.reach, second.reach, inputs.marks_reach_rad) / abs(turned)
         factor = abs(turned) / marks
         other = abs(factor - 1) > share
-        basis = f"{counts} counts between marks {marks:g} +- {given.marks_reach_rad:g} rad apart"
+        basis = f"{counts} counts between marks {marks:g} +- {inputs.marks_reach_rad:g} rad apart"
         polarity = axis.mechanics.encoder_polarity
         sign = polarity if turned > 0 else -polarity
         findings = [

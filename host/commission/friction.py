@@ -125,20 +125,20 @@ class Friction(Step):
     name = "friction"
     title = "inherent friction: Coulomb, viscous, by angle"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role that the rig lacks, or None."""
         lacks = lacks_roles(axis, "torque", "handle_torque")
         return lacks and f"{lacks}: motor and hand together tell the friction"
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the limits of the sweep."""
         return sweep_risk(axis)
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the sweep with the handle free."""
         return (sweep_exercise(rig, self.name, FREE_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the friction, and the motor's limit that follows from it."""
         recording, mechanics = runs[0].recording, axis.mechanics
         try:
@@ -150,10 +150,12 @@ class Friction(Step):
                 f"{error}; is the handle free, and sign_check_torque_Nm more than its friction?"
             ) from error
         basis = f"{identification.samples} samples that slide, motor's sweep, coil off"
-        device, torque, angle = identification.device, given.share(HANDLE_TORQUE), given.share(*ANGLE)
+        device, torque, angle = identification.device, inputs.share(HANDLE_TORQUE), inputs.share(*ANGLE)
         edges, sectors = _by_sector(slides, identification)
         coulomb, remarks = _written(widened(device.coulomb_Nm, torque), sectors, torque)
-        remarks += given.exact({"the motor's torque (step motor)": (HANDLE_TORQUE,), "the ratio (step encoder)": ANGLE})
+        remarks += inputs.exact(
+            {"the motor's torque (step motor)": (HANDLE_TORQUE,), "the ratio (step encoder)": ANGLE}
+        )
         rows = [("mechanics.friction_Nm", "Coulomb friction", mechanics.friction_Nm, "Nm", coulomb)]
         if device.viscous_Nms_rad is not None:
             viscous = widened(device.viscous_Nms_rad, torque, angle)
@@ -222,13 +224,13 @@ def _written(
         raise CommissionError(
             f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
         )
-    known = [sector for sector in sectors if sector is not None]
-    least = min(known, key=lambda sector: sector.value, default=coulomb)
+    measured = [sector for sector in sectors if sector is not None]
+    least = min(measured, key=lambda sector: sector.value, default=coulomb)
     if least.high >= (1 - UNEVEN) * coulomb.value:
         return coulomb, ()
-    most = max(sector.value for sector in known)
+    largest_Nm = max(sector.value for sector in measured)
     remark = (
-        f"the friction is uneven, {least.value:.4f} to {most:.4f} Nm by angle; the smallest is taken, "
+        f"the friction is uneven, {least.value:.4f} to {largest_Nm:.4f} Nm by angle; the smallest is taken, "
         "so that the compensation nowhere pushes by itself"
     )
     return widened(least, torque_share), (remark,)

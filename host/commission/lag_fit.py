@@ -190,11 +190,11 @@ def _gathered(recording: Recording, wave_rad: float | None) -> _Rows:
     if len(rows.v) < LEAST_ROWS or rows.v.min() >= 0 or rows.v.max() <= 0:
         raise CommissionError("the handle slid too little, or in one sense alone: stroke it to and fro")
     size = len(rows.weight)
-    kept = [(slide, a) for slide, (a, _) in zip(slides, spans, strict=True) if len(slide.t_s) >= size]
+    long = [(slide, a) for slide, (a, _) in zip(slides, spans, strict=True) if len(slide.t_s) >= size]
     linear = [np.sign(rows.v), rows.v, np.ones_like(rows.v)]
     if wave_rad is not None:
-        linear += [rows.smooth([wave(wave_rad * slide.x_rad) for slide, _ in kept]) for wave in (np.sin, np.cos)]
-    return _Rows(rows, tuple(s for s, _ in kept), tuple(a for _, a in kept), setpoint, period, np.column_stack(linear))
+        linear += [rows.smooth([wave(wave_rad * slide.x_rad) for slide, _ in long]) for wave in (np.sin, np.cos)]
+    return _Rows(rows, tuple(s for s, _ in long), tuple(a for _, a in long), setpoint, period, np.column_stack(linear))
 
 
 def _best(gathered: _Rows, torque: Floats, starts: tuple[tuple[float, ...], ...]) -> tuple[Floats, float]:

@@ -35,16 +35,16 @@ class Limits(Step):
     name = "limits"
     title = "limits against noise, counts and speed"
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the risk: nothing moves."""
         return Risk("Nothing moves: encoder and transducer are read.", seconds=SECONDS)
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run without torque."""
         rest = f'{{kind="rest", duration_s={SECONDS}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return noise and jitter, and the checked limits."""
         return Outcome(tuple(_findings(runs[0].recording, axis)))
 
@@ -65,9 +65,9 @@ def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
     fastest = limits.speed_rad_s * period / count
     jump, least_jump = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)
     why = f"limits.speed_rad_s is {fastest:.0f} counts a cycle, times {JUMP_MARGIN:g}"
-    wrong = jump < fastest or jump > JUMP_LOOSE * fastest
+    unfit = jump < fastest or jump > JUMP_LOOSE * fastest
     yield Finding(
-        "limits.encoder_jump_counts", "encoder's jump", jump, least_jump if wrong else jump, "counts", None, why, wrong
+        "limits.encoder_jump_counts", "encoder's jump", jump, least_jump if unfit else jump, "counts", None, why, unfit
     )
     if axis.allocation.bound.get("handle_torque") is None:
         return

@@ -84,11 +84,11 @@ class Motor(Step):
     name = "motor"
     title = "motor's sign and torque constant, against the transducer"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "torque", "handle_torque")
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the limits of the sweep."""
         operator = (
             f"Hold the handle loosely, as a soft spring does, and keep holding it. Leave it where it is for {STILL_S:g} s; "
@@ -97,7 +97,7 @@ class Motor(Step):
         )
         return replace(sweep_risk(axis), operator=operator)
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the sweep against the hand."""
         phases = (
             f'{{kind="rest", duration_s={STILL_S}}}',
@@ -105,7 +105,7 @@ class Motor(Step):
         )
         return (replace(sweep_exercise(rig, self.name, (), phases), may_trip=(SIGN,)),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the sign, or the torque constant."""
         mechanics, rated = axis.mechanics, axis.motor.rated_torque_Nm
         if runs[0].trip is not None:
@@ -122,14 +122,14 @@ class Motor(Step):
             fit = fit_friction(rows, rows.hand_Nm, None, columns)
         except IdentifyError as error:
             raise CommissionError(f"{error}; hold the handle more loosely") from error
-        gain = widened(fit.others[MOTOR], given.share(SCALE))
+        gain = widened(fit.others[MOTOR], inputs.share(SCALE))
         k, reach = gain.value, gain.reach
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
                 f"the motor's torque reads {k:.3f} +- {reach:.3f} of what is believed: hold the handle, so that it "
                 "resists the motor, and give way slowly"
             )
-        rated_reach = rated * k * math.hypot(reach / k, given.share(*ANGLE))
+        rated_reach = rated * k * math.hypot(reach / k, inputs.share(*ANGLE))
         new = rounded(rated * k, rated_reach)
         at_handle = rated * mechanics.ratio
         basis = f"{len(rows.v)} windows, the hand's torque against the motor's; ratio {mechanics.ratio:g}"
@@ -164,5 +164,5 @@ class Motor(Step):
             "hand's torque, friction taken off [Nm]",
             {"windows": (*thinned(rows.motor_Nm, rest), "."), "fit": (ends, [-k * torque for torque in ends], "-")},
         )
-        exact = given.exact({"the transducer's scale (step weight)": (SCALE,), "the ratio (step encoder)": ANGLE})
+        exact = inputs.exact({"the transducer's scale (step weight)": (SCALE,), "the ratio (step encoder)": ANGLE})
         return Outcome(findings, exact, (curve,))

@@ -87,6 +87,6 @@ class Progress:
         OSError
             the file cannot be written; it is unchanged
         """
-        steps = {other: kept for other, kept in self.steps.items() if other != name} | {name: outcome}
+        steps = {other: result for other, result in self.steps.items() if other != name} | {name: outcome}
         write_whole(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
         self.steps = steps

@@ -193,7 +193,7 @@ def _picture(curve: Mapping[str, Any]) -> str:
 
     from coulombus.recording.pictures.style import COLOURS, figure, label
 
-    with figure(*PICTURE_INCHES) as (made, ax), rc_context({"svg.fonttype": "none"}):
+    with figure(*PICTURE_INCHES) as (fig, ax), rc_context({"svg.fonttype": "none"}):
         lines = tuple(curve["lines"].items())
         for colour, (name, (x, y, style)) in zip(COLOURS * 3, lines, strict=False):
             ax.plot(x, y, style, color=colour, label=name, markersize=3.5)
@@ -205,6 +205,6 @@ def _picture(curve: Mapping[str, Any]) -> str:
         if len(lines) > 1:
             ax.legend()
         file = io.StringIO()
-        FigureCanvasSVG(made).print_svg(file, metadata={"Date": None})  # type: ignore[no-untyped-call]
+        FigureCanvasSVG(fig).print_svg(file, metadata={"Date": None})  # type: ignore[no-untyped-call]
     text = file.getvalue()
     return text[text.index("<svg") :]

@@ -47,14 +47,14 @@ class Response(Step):
     name = "response"
     title = "brake's answer to a step: delay, coil, fluid"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
     def _brake(self, axis: Axis) -> float:
         return min(BRAKE_NM, axis.limits.brake_torque_Nm)
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the brake's torque and the operator's strokes."""
         return Risk(
             "The brake is switched on and off five times in two seconds.",
@@ -66,25 +66,25 @@ class Response(Step):
             f"{move_s(axis, SPEED_RAD_S, MOVE_S):g} s each way, with a firm hand that does not give way to the brake.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the run with the steps."""
         move = move_s(rig.one_axis(), SPEED_RAD_S, MOVE_S)
         stroke = strokes(SECONDS, SPEED_RAD_S, move, DWELL_S)
         user = [0.0, HALF_S, self._brake(rig.one_axis())]
         return (exercise(self.name, rig, "square", user, [stroke], hand=STROKING_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return times and time constants; the rig file has no key for them."""
         mechanics = axis.mechanics
         wave_rad = mechanics.cogging_periods * mechanics.ratio if mechanics.cogging_Nm > 0 else None
-        fit = fit_lags(runs[0].recording, mechanics.inertia_kg_m2, given.share(INERTIA), wave_rad)
-        iron_share = given.share(TABLE) * brake_end_Nm(axis) / self._brake(axis)
+        fit = fit_lags(runs[0].recording, mechanics.inertia_kg_m2, inputs.share(INERTIA), wave_rad)
+        iron_share = inputs.share(TABLE) * brake_end_Nm(axis) / self._brake(axis)
         basis = f"{fit.samples} samples in slip, inertia {mechanics.inertia_kg_m2:g} kg m2 taken off"
         findings = tuple(
             Finding("", name, None, rounded(1e3 * value, 1e3 * reach), "ms", 1e3 * reach, basis)
             for name, (value, reach) in fit.figures(iron_share).items()
         )
-        remarks = given.exact({"the inertia (step friction)": (INERTIA,), "the brake's table (step brake)": (TABLE,)})
+        remarks = inputs.exact({"the inertia (step friction)": (INERTIA,), "the brake's table (step brake)": (TABLE,)})
         if fit.together:
             remarks += ("coil and fluid cannot be told apart: their lags may be equal within the intervals",)
         t = np.linspace(0.0, float(fit.curve[0][-1]), 200)

@@ -102,12 +102,12 @@ class Session:
         self,
         path: Path,
         run: Runner,
-        given: Given,
+        inputs: Given,
         now: Callable[[], str],
         overrides: Sequence[str] = (),
         axis: str | None = None,
     ) -> None:
-        self.path, self.run, self.given, self.now = path, run, given, now
+        self.path, self.run, self.given, self.now = path, run, inputs, now
         self.overrides, self.axis = tuple(overrides), axis
         names = self._whole().axis_names
         if names and axis is None:
@@ -149,17 +149,17 @@ class Session:
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
             runs = [self._take(step, exercise) for exercise in exercises]
-            given = replace(self.given, shares=shares(self.state.steps))
-            outcome = step.analyse(runs, axis, given)
+            inputs = replace(self.given, shares=shares(self.state.steps))
+            outcome = step.analyse(runs, axis, inputs)
             written = self._write(step, outcome)
             if not outcome.again or last:
                 break
-        kept = outcome.as_dict() | {
+        record = outcome.as_dict() | {
             "at": self.now(),
             "title": step.title,
             "recordings": [f"{exercise.name}.pcapng" for exercise in exercises],
         }
-        self.state.keep(step.name, kept)
+        self.state.keep(step.name, record)
         return StepEnd(step.name, step.title, "done", outcome=outcome, written=written)
 
     def _take(self, step: Step, exercise: Exercise) -> ExerciseResult:

@@ -84,14 +84,14 @@ class Risk:
 
     def lines(self) -> list[str]:
         """Return the lines of the announcement."""
-        most = [
+        limits = [
             f"motor {self.motor_Nm:.3g} Nm" if self.motor_Nm else "no motor torque",
             f"brake {self.brake_Nm:.3g} Nm" if self.brake_Nm else "brake off",
             *([f"{self.speed_rad_s:.3g} rad/s"] if self.speed_rad_s else []),
             *([f"+-{self.travel_rad:.3g} rad"] if self.travel_rad else []),
             f"{self.seconds:.0f} s",
         ]
-        return [self.moves, f"at most: {', '.join(most)}", self.operator, "Ctrl-C stops it at any time."]
+        return [self.moves, f"at most: {', '.join(limits)}", self.operator, "Ctrl-C stops it at any time."]
 
 
 @dataclass(frozen=True)
@@ -181,20 +181,20 @@ class Step(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the reason why the step is not possible on this rig, or None."""
         return None
 
     @abstractmethod
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the motion of the step, with its limits."""
 
     @abstractmethod
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the runs of the step; empty if nothing has to move."""
 
     @abstractmethod
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the result from the recordings.
 
         Raises
@@ -245,11 +245,11 @@ def exercise(
     mode = "active" if motor_Nm > 0 else "passive"
     law_keys = {"K_p_Nm_rad": 1.0, "F_s_Nm": 0.0, "F_d_Nm": 0.0, "compensation": 0.0, "motor_limit_Nm": motor_Nm}
     schedule = f"phase=[{', '.join(phases)}]"
-    chosen = rig.variant(
+    variant = rig.variant(
         f'law.function="{EXERCISES}:{law}"',
         "limits.handle_mismatch_share=1e6",  # scales and signs are what it measures
         f"law.user={[float(number) for number in user]}",
         *(f"mode.{mode}.{key}={value!r}" for key, value in law_keys.items()),
         schedule,
     )
-    return Exercise(name, chosen, mode, chosen.schedule_s, (*hand, schedule), may_trip)
+    return Exercise(name, variant, mode, variant.schedule_s, (*hand, schedule), may_trip)

@@ -58,15 +58,15 @@ class Zero(Step):
     name = "zero"
     title = "torque transducer: zero and noise"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role that the rig lacks, or None."""
         return lacks_roles(axis, "handle_torque")
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the risk: nothing moves."""
         return Risk("Nothing moves: the transducer is read.", seconds=ZERO_S)
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return a run without torque.
 
         With a large zero offset arming is refused (HANDLE_LOADED); the signal is recorded nevertheless.
@@ -74,7 +74,7 @@ class Zero(Step):
         rest = f'{{kind="rest", duration_s={ZERO_S}}}'
         return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND, may_trip=("HANDLE_LOADED",)),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the offset that brings the mean to zero, and the noise."""
         series = handle_torque(runs[0].recording)
         binding, turned = _binding(axis), axis.mechanics.transducer_polarity
@@ -100,43 +100,43 @@ class Weight(Step):
     name = "weight"
     title = "torque transducer: sign and scale by a known weight"
 
-    def lacks(self, axis: Axis, given: Given) -> str | None:
+    def lacks(self, axis: Axis, inputs: Given) -> str | None:
         """Return the role or the input that is missing, or None."""
-        if given.weight_Nm is None:
+        if inputs.weight_Nm is None:
             return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
-        if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
-            most = axis.limits.brake_torque_Nm / HOLDS
-            bounds = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
-            return f"--weight-Nm {given.weight_Nm:g}: {bounds}"
+        if not 0 < inputs.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
+            largest_Nm = axis.limits.brake_torque_Nm / HOLDS
+            bounds = f"expected above 0, at most {largest_Nm:.3g}, which the brake holds with a margin"
+            return f"--weight-Nm {inputs.weight_Nm:g}: {bounds}"
         return lacks_roles(axis, "handle_torque")
 
-    def _brake(self, axis: Axis, given: Given) -> float:
-        return min(HOLDS * (given.weight_Nm or 0.0) + HOLDS_NM, axis.limits.brake_torque_Nm)
+    def _brake(self, axis: Axis, inputs: Given) -> float:
+        return min(HOLDS * (inputs.weight_Nm or 0.0) + HOLDS_NM, axis.limits.brake_torque_Nm)
 
-    def risk(self, axis: Axis, given: Given) -> Risk:
+    def risk(self, axis: Axis, inputs: Given) -> Risk:
         """Return the brake's torque and the operator's actions."""
         return Risk(
             "The brake holds the handle while the weight hangs on it.",
-            brake_Nm=self._brake(axis, given),
+            brake_Nm=self._brake(axis, inputs),
             seconds=REST_S + HANG_S + TAIL_S,
-            operator=f"Leave the handle free for {REST_S:g} s; then hang {given.weight_Nm or 0:g} Nm on it, "
+            operator=f"Leave the handle free for {REST_S:g} s; then hang {inputs.weight_Nm or 0:g} Nm on it, "
             f"in the positive sense, and let it hang still for {HANG_S:g} s; take it off.",
         )
 
-    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+    def exercises(self, rig: Rig, inputs: Given) -> tuple[Exercise, ...]:
         """Return the run with the weight."""
-        weight = given.weight_Nm or 0.0
+        weight = inputs.weight_Nm or 0.0
         times, torques = [0.0, 1.0, HANG_S - 0.5, HANG_S], [0.0, weight, weight, 0.0]
         phases = (
             f'{{kind="rest", duration_s={REST_S}}}',
             f'{{kind="file", duration_s={HANG_S}, t_s={times}, torque_Nm={torques}}}',
             f'{{kind="rest", duration_s={TAIL_S}}}',
         )
-        return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), given)], phases, hand=FREE_HAND),)
+        return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), inputs)], phases, hand=FREE_HAND),)
 
-    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, given: Given) -> Outcome:
+    def analyse(self, runs: Sequence[ExerciseResult], axis: Axis, inputs: Given) -> Outcome:
         """Return the scale and polarity with which the transducer reads the weight's torque."""
-        recording, weight = runs[0].recording, given.weight_Nm or 0.0
+        recording, weight = runs[0].recording, inputs.weight_Nm or 0.0
         series = handle_torque(recording)
         rest, hang = span_of(recording, "rest"), span_of(recording, "file")
         binding, turned = _binding(axis), axis.mechanics.transducer_polarity
@@ -151,7 +151,7 @@ class Weight(Step):
             )
         factor = weight / abs(difference)
         polarity = turned if difference > 0 else -turned
-        share = math.hypot(math.hypot(loaded.reach, zero.reach) / abs(difference), given.weight_reach_Nm / weight)
+        share = math.hypot(math.hypot(loaded.reach, zero.reach) / abs(difference), inputs.weight_reach_Nm / weight)
         reach = share * count * factor
         new = rounded(count * factor, reach)
         other = abs(factor - 1) > share
@@ -162,9 +162,9 @@ class Weight(Step):
         ]
         if other and binding.offset:
             offset = binding.offset * turned
-            zero_reach = abs(offset) * factor * math.hypot(given.share(OFFSET), share)
+            zero_reach = abs(offset) * factor * math.hypot(inputs.share(OFFSET), share)
             moved = rounded(offset * factor, zero_reach)
-            stated = zero_reach if OFFSET in given.shares else None  # an offset of no step has no interval
+            stated = zero_reach if OFFSET in inputs.shares else None  # an offset of no step has no interval
             findings.append(Finding(OFFSET, "transducer's zero", offset, moved, "Nm", stated, "with the new scale"))
         curve = Curve("Weight", "time [s]", "[Nm]", {"as it read": (*thinned(series.t_s, series.values), "-")})
         return Outcome(tuple(findings), curves=(curve,))

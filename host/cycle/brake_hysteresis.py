@@ -44,11 +44,11 @@ def coil_for(c: ControlRecord, h: HostRecord, wanted_Nm: float) -> float:
     if c.iron_plays <= 0:
         return wanted_Nm
     low, high = 0.0, c.brake_limit_Nm
-    least, most = seen_by_fluid(c, h, low), seen_by_fluid(c, h, high)
-    if wanted_Nm <= least:
-        return wanted_Nm - least
-    if wanted_Nm >= most:
-        beyond: float = high + wanted_Nm - most
+    smallest_Nm, largest_Nm = seen_by_fluid(c, h, low), seen_by_fluid(c, h, high)
+    if wanted_Nm <= smallest_Nm:
+        return wanted_Nm - smallest_Nm
+    if wanted_Nm >= largest_Nm:
+        beyond: float = high + wanted_Nm - largest_Nm
         return beyond
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)

@@ -94,8 +94,8 @@ def _cycles(seconds: float, period_s: float) -> int:
 
 def motor_mismatch_Nm(axis: Axis) -> float:
     """Return the largest permitted difference of the motor's measured torque from its commands [Nm]."""
-    given = axis.limits.motor_mismatch_Nm
-    return MISMATCH_SHARE * axis.motor.rated_torque_Nm * axis.mechanics.ratio if given is None else given
+    limit_Nm = axis.limits.motor_mismatch_Nm
+    return MISMATCH_SHARE * axis.motor.rated_torque_Nm * axis.mechanics.ratio if limit_Nm is None else limit_Nm
 
 
 def slot_of_signal(signal: Signal) -> int:
@@ -344,8 +344,8 @@ class Controller:
             expected = f"more than {speed:.3g}: one encoder count in a cycle is that fast already; take a longer bus.period_s or a finer encoder"
             raise self.axis.mistake("limits.speed_rad_s", expected)
         if c["sign_check"] and travel >= limits.sign_check_travel_rad:
-            most = math.ceil(limits.sign_check_travel_rad / rad_count) - 1
-            expected = f"at most {most}: {c['sign_counts']} counts are {travel:.3g} rad, and limits.sign_check_travel_rad ends before that"
+            largest_counts = math.ceil(limits.sign_check_travel_rad / rad_count) - 1
+            expected = f"at most {largest_counts}: {c['sign_counts']} counts are {travel:.3g} rad, and limits.sign_check_travel_rad ends before that"
             raise self.axis.mistake("limits.sign_check_counts", expected)
 
     def _set_tpdos(self, c: ControlRecord, pdos: tuple[RigPdo, ...]) -> None:

@@ -84,13 +84,13 @@ def finish_joints(axes: AxisRecords, arm: PlaneFunctions, t_ns: int, window_over
 def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
     """Give the joints' measurements, last commands and parameters to the plane; return whether the pose is known."""
     plane = axes[0].plane
-    known = True
+    has_pose = True
     for i in range(JOINTS):
         axis = axes[i]
         plane.counts[i], plane.hand_Nm[i] = axis.host.counts, axis.host.handle_Nm
         plane.split.brake_Nm[i], plane.split.motor_Nm[i] = axis.host.brake_Nm, axis.host.torque_Nm
         plane.control.compensation_Nm[i] = axis.control.compensation_Nm
-        known = known and axis.host.has_position != 0
+        has_pose = has_pose and axis.host.has_position != 0
     for k in range(plane.law.user.shape[0]):
         plane.law.user[k] = axes[0].law.user[k]
     measure_plane(arm.mechanism, plane)
@@ -101,7 +101,7 @@ def _measure(axes: AxisRecords, arm: PlaneFunctions) -> bool:
                 soften(axes[0].world)
     observe(plane.control, plane.split, plane.v_rad_s)
     expect_brakes(plane.control, plane.split)
-    return known
+    return has_pose
 
 
 @kernel

@@ -30,13 +30,15 @@ def brake_limit_raw(axis: Axis) -> int:
     entry = setpoint.entry
     variable = axis.description(setpoint.node).variable(entry.index, entry.subindex)
     assert variable.whole is not None  # the rig's reader accepts only integers of at most 32 bits
-    most = int(variable.largest)
-    least = variable.whole[0] if variable.low is None else int(variable.low)
+    highest = int(variable.largest)
+    lowest = variable.whole[0] if variable.low is None else int(variable.low)
     for raw, _ in setpoint.table:
-        if not least <= raw <= most:
+        if not lowest <= raw <= highest:
             label = f"{entry.index:04X}h:{entry.subindex:02X}"
-            raise axis.mistake("role.brake_setpoint.table", f"raw counts from {least} to {most}, which {label} takes")
-    return most
+            raise axis.mistake(
+                "role.brake_setpoint.table", f"raw counts from {lowest} to {highest}, which {label} takes"
+            )
+    return highest
 
 
 def brake_end_Nm(axis: Axis) -> float:
@@ -50,8 +52,8 @@ def brake_end_Nm(axis: Axis) -> float:
 def law_pushes(axis: Axis) -> bool:
     """Return whether the axis' law is a built-in law that pushes back in mode hybrid."""
     name = axis.law.function.strip()
-    own = BUILTIN_LAWS.get(name) or PLANE_LAWS.get(name)
-    return own is not None and own.pushes
+    builtin = BUILTIN_LAWS.get(name) or PLANE_LAWS.get(name)
+    return builtin is not None and builtin.pushes
 
 
 def motor_limit_Nm(axis: Axis, mode: str) -> float:

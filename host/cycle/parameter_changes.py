@@ -126,20 +126,20 @@ def parameters_of(controller: Controller) -> tuple[Parameter, ...]:
     axis, mode, law = controller.axis, controller.mode, controller.declaration
     motor_Nm, motor_whose = motor_limit(axis, mode)
     shown = (motor_Nm, motor_whose) if mode == "active" else brake_limit(axis)
-    chosen, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
+    keys_of_mode, friction_Nm = axis.mode[mode], axis.mechanics.friction_Nm
     share = (motor_Nm / friction_Nm if friction_Nm > 0 else math.inf, motor_whose)
     parameters = []
     if not axis.joint and (law is None or law.uses_mode_keys):
         names = OF_MODE if law is None else {name: slot for name, slot in OF_MODE.items() if name in law.names}
         parameters = [
-            _parameter(chosen, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()
+            _parameter(keys_of_mode, name, slot, shown if name in TORQUES else ANYTHING) for name, slot in names.items()
         ]
     elif law is not None and controller.parameters is not None:
         for k, name in enumerate(law.names):
             end = shown if name in law.extremes and not axis.joint else ANYTHING
             if law.parameters.model_fields[name].annotation is float:
                 parameters.append(_parameter(controller.parameters, name, Slot.USER + k, end))
-    parameters.append(_parameter(chosen, "compensation", Slot.COMPENSATION, share, friction_Nm))
+    parameters.append(_parameter(keys_of_mode, "compensation", Slot.COMPENSATION, share, friction_Nm))
     return tuple(
         parameter for parameter in parameters if math.isfinite(parameter.low) and math.isfinite(parameter.high)
     )
@@ -208,10 +208,10 @@ class _Axis:
 
     def order(self, values: Mapping[str, float]) -> Floats:
         """Return the full record of an order: `values`, and the present targets of all other parameters."""
-        order = self._present()
+        record = self._present()
         for name, parameter in self.table.items():
-            order[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
-        return order
+            record[parameter.slot] = values.get(name, self.value[name]) * parameter.scale
+        return record
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the law's parameters as plain values; `now` is the value during a transition."""
@@ -288,16 +288,16 @@ class LiveParameters:
             nothing is changed; the text gives the reason
         """
         index = self._index(axis)
-        chosen = self._axes[index]
+        live_axis = self._axes[index]
         if not values:
             raise ChangeRefused("no value is given: expected NAME=VALUE, as in F_s=2.0")
         goals: dict[str, float] = {}
-        for given, value in values.items():
-            name = _name(given, chosen)
+        for key, value in values.items():
+            name = _name(key, live_axis)
             if name in goals:
                 raise ChangeRefused(f"{name} is given twice")
             goals[name] = float(value)
-        change = self._order(index, goals, over_s, {name: chosen.value[name] for name in goals})
+        change = self._order(index, goals, over_s, {name: live_axis.value[name] for name in goals})
         self._made = [*self._made, (index, {changed.name: changed.old for changed in change.values})][-UNDONE:]
         return change
 
@@ -363,17 +363,17 @@ def _short(name: str) -> str:
     return name.removesuffix(next((end for end in UNITS if end.startswith("_") and name.endswith(end)), ""))
 
 
-def _name(given: str, axis: _Axis) -> str:
+def _name(key: str, axis: _Axis) -> str:
     """Return the full name of a parameter that is given with or without its unit."""
     names, short = list(axis.table), {_short(name): name for name in axis.table}
-    if given in names:
-        return given
-    if given in short:
-        return short[given]
-    law, there = axis.controller.axis.law.function, ", ".join(names)
-    if given in OF_MODE or given in map(_short, OF_MODE):
-        raise ChangeRefused(f"{given}: the law {law} has none; there is {there}")
-    raise ChangeRefused(f"{given}: no parameter of this name; there is {there}{nearest(given, (*names, *short))}")
+    if key in names:
+        return key
+    if key in short:
+        return short[key]
+    law, parameters = axis.controller.axis.law.function, ", ".join(names)
+    if key in OF_MODE or key in map(_short, OF_MODE):
+        raise ChangeRefused(f"{key}: the law {law} has none; there is {parameters}")
+    raise ChangeRefused(f"{key}: no parameter of this name; there is {parameters}{nearest(key, (*names, *short))}")
 
 
 def _pairs(axis: _Axis, values: Mapping[str, float], goals: Mapping[str, float]) -> str | None:

@@ -75,6 +75,6 @@ def compare_felt(c: ControlRecord, h: HostRecord, motor_Nm: float) -> bool:
     most_Nm, least_Nm = c.mismatch_share * h.mean_size_Nm, LOADED_SHARE * c.still_handle_Nm
     if abs(h.mean_error_Nm) > max(REMARK_SHARE * most_Nm, least_Nm):
         h.implausible_torque += 1
-    wrong = abs(h.mean_error_Nm) > max(most_Nm, 2.0 * least_Nm)
-    h.felt_wrong = h.felt_wrong + 1 if wrong else 0
+    implausible = abs(h.mean_error_Nm) > max(most_Nm, 2.0 * least_Nm)
+    h.felt_wrong = h.felt_wrong + 1 if implausible else 0
     return bool(h.felt_wrong > c.mismatch_cycles)

@@ -174,10 +174,10 @@ def _on_heartbeat(h: HostRecord, k: int, t_ns: int, length: int, state: int) -> 
         return 0
     if k < 0:
         return 2
-    known = h.nmt[k] == state
+    unchanged = h.nmt[k] == state
     h.nmt[k] = state
     h.heard_ns[k] = t_ns
-    return 0 if known else 2
+    return 0 if unchanged else 2
 
 
 @kernel

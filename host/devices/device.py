@@ -273,8 +273,8 @@ class KnownDevice:
 
     def read(self, variable: Variable, progress: Progress = lambda done, total: None) -> Reading:
         """Return the value of an object. Raises as `host.sdo.sdo_client.SdoClient.upload`."""
-        most = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
-        return self.reading(variable, self.upload(variable, most=most, progress=progress))
+        max_bytes = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
+        return self.reading(variable, self.upload(variable, most=max_bytes, progress=progress))
 
     def reading(self, variable: Variable, data: bytes) -> Reading:
         """Return the value of bytes; without a data type, 1, 2, 4 or 8 bytes are read as a number."""
@@ -355,8 +355,8 @@ class KnownDevice:
         if match[2]:
             unit = self.unit(variable)
             if unit is None or unit.unit != match[2]:
-                known = f"its unit is {unit.unit!r}" if unit else "it has no unit that is known"
-                raise ValueRefused(f"{what}: {text!r}: {known}; a number alone is raw")
+                unit_text = f"its unit is {unit.unit!r}" if unit else "it has no unit that is known"
+                raise ValueRefused(f"{what}: {text!r}: {unit_text}; a number alone is raw")
             number = (number - unit.offset) / unit.scale
             if kind.kind != "real" and abs(number - round(number)) > ROUNDED * max(1.0, abs(number)):
                 near = round(number) * unit.scale + unit.offset

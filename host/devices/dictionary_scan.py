@@ -120,10 +120,10 @@ class DictionaryScan:
         AnswerUntrusted
             (6, or 3) its answer is not valid, or two devices answer
         """
-        own = packaged()
+        files = packaged()
         device_type = self._read(0x1000, 0)
         profile = int.from_bytes(device_type[:2], "little") if isinstance(device_type, bytes) else 0
-        self._common, self._profile = own[0], own[PROFILES[profile]] if profile in PROFILES else None
+        self._common, self._profile = files[0], files[PROFILES[profile]] if profile in PROFILES else None
         self._mapped = set(self._mapped_places(MAPPING_RANGES))
         self._set_points = set(self._mapped_places(MAPPING_RANGES[:1]))
         content = FileContent([])
@@ -173,12 +173,12 @@ class DictionaryScan:
             return
         rows = []
         for sub, answer in self._subs(index, top):
-            known = variables.get(sub) or (variables.get(1) if sub and _is_map(index) else None)
-            keys = self._keys(index, sub, answer, known)
+            described = variables.get(sub) or (variables.get(1) if sub and _is_map(index) else None)
+            keys = self._keys(index, sub, answer, described)
             if keys is not None:
                 usual = "Highest sub-index supported" if sub == 0 else f"{name} {sub}"
-                own = known.name if known is not None and known.subindex == sub else usual
-                rows.append(Row(index, sub, {"ParameterName": own, "ObjectType": f"0x{VAR:X}", **keys}))
+                parameter_name = described.name if described is not None and described.subindex == sub else usual
+                rows.append(Row(index, sub, {"ParameterName": parameter_name, "ObjectType": f"0x{VAR:X}", **keys}))
         types = {row.keys["DataType"] for row in rows if row.subindex}
         kind = template.object_type if template is not None else ARRAY if len(types) == 1 else RECORD
         head = {"ParameterName": name, "ObjectType": f"0x{kind:X}", "SubNumber": f"0x{len(rows):X}"}
@@ -204,21 +204,23 @@ class DictionaryScan:
             elif sub > count or top is None:
                 return
 
-    def _keys(self, index: int, sub: int, answer: bytes | int | None, known: Variable | None) -> dict[str, str] | None:
+    def _keys(
+        self, index: int, sub: int, answer: bytes | int | None, described: Variable | None
+    ) -> dict[str, str] | None:
         """Return type, access and value; None (a remark) if nothing tells the type."""
-        code = self._type(answer, known, is_count=sub == 0 and known is not None and known.subindex == 0)
+        code = self._type(answer, described, is_count=sub == 0 and described is not None and described.subindex == 0)
         if code is None:
             what = "can only be written" if answer == Abort.WRITE_ONLY else "cannot be read"
             self.remarks.append(f"{index:04X}h:{sub:02X} {what}, so its type is unknown: left out")
             return None
         kind = DATA_TYPES[code]
         variable = Variable(index, sub, "", code, "ro", None, False, None, None, False, 0)
-        access = "wo" if answer == Abort.WRITE_ONLY else "ro" if known is None else known.access
+        access = "wo" if answer == Abort.WRITE_ONLY else "ro" if described is None else described.access
         if self.tries_access and isinstance(answer, bytes) and index >= 0x1000:
-            access = self._tried(variable, answer, known, access)
+            access = self._tried(variable, answer, described, access)
         keys = {"DataType": f"0x{code:04X}", "AccessType": access}
         is_setting = index < 0x2000 and index not in STATE
-        if isinstance(answer, bytes) and (is_setting or (sub == 0 and known is None and len(answer) == 1)):
+        if isinstance(answer, bytes) and (is_setting or (sub == 0 and described is None and len(answer) == 1)):
             value = decode(variable, answer)
             node_id = self.client.node_id
             usual = (predefined(index, sub, node_id) or 0) & IDENTIFIER
@@ -226,12 +228,12 @@ class DictionaryScan:
                 keys["DefaultValue"] = spelled(variable, value - node_id, relative=True) or ""
             elif not isinstance(value, bytes):
                 keys["DefaultValue"] = (spelled(variable, value) or "").splitlines()[0] if value != "" else ""
-        mappable = (index, sub) in self._mapped or (known is not None and known.pdo_mappable)
+        mappable = (index, sub) in self._mapped or (described is not None and described.pdo_mappable)
         return keys | {"PDOMapping": str(int(mappable and kind.bits > 0))}
 
     @staticmethod
-    def _type(answer: bytes | int | None, known: Variable | None, *, is_count: bool) -> int | None:
-        usual = None if known is None else DATA_TYPES.get(known.data_type)
+    def _type(answer: bytes | int | None, described: Variable | None, *, is_count: bool) -> int | None:
+        usual = None if described is None else DATA_TYPES.get(described.data_type)
         if answer == Abort.MEMORY:
             return DOMAIN_TYPE
         if not isinstance(answer, bytes):
@@ -243,9 +245,9 @@ class DictionaryScan:
             return UNSIGNED[len(answer)]
         return TEXT if all(32 <= byte < 127 for byte in answer.rstrip(b"\0")) else OCTETS
 
-    def _tried(self, variable: Variable, data: bytes, known: Variable | None, access: str) -> str:
+    def _tried(self, variable: Variable, data: bytes, described: Variable | None, access: str) -> str:
         """Write an object's own value back, unless that acts; return its access."""
-        if known is not None and known.access in ("rwr", "rww"):
+        if described is not None and described.access in ("rwr", "rww"):
             return access
         if acts(variable, self._set_points):
             return access

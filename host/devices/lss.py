@@ -103,8 +103,8 @@ def rate_index(bit_s: int) -> int:
     for index, rate in BIT_RATES.items():
         if rate == bit_s:
             return index
-    known = ", ".join(map(str, BIT_RATES.values()))
-    raise ValueError(f"{bit_s} bit/s is not in CiA 305's table; expected one of {known}")
+    rates = ", ".join(map(str, BIT_RATES.values()))
+    raise ValueError(f"{bit_s} bit/s is not in CiA 305's table; expected one of {rates}")
 
 
 class LssMaster:
@@ -173,8 +173,8 @@ class LssMaster:
                 f"the device answers LSS ({what}) late, {timeout_s:g} s are allowed: --timeout gives it longer"
             )
         if odd:
-            wrong = "another service's answer" if len(odd) == LENGTH else f"{len(odd)} bytes, and {LENGTH} are right"
-            return AnswerUntrusted(f"the device answers LSS ({what}) with {odd.hex(' ').upper()}: {wrong} (CiA 305)")
+            defect = "another service's answer" if len(odd) == LENGTH else f"{len(odd)} bytes, and {LENGTH} are right"
+            return AnswerUntrusted(f"the device answers LSS ({what}) with {odd.hex(' ').upper()}: {defect} (CiA 305)")
         return NodeMissing(f"the device does not answer LSS ({what}) within {timeout_s:g} s (--timeout)")
 
     # finding
@@ -228,16 +228,18 @@ class LssMaster:
             pass
         return True
 
-    def _scan(self, patience: _Patience, known: Sequence[Identity]) -> Identity | None:
+    def _scan(self, patience: _Patience, identities: Sequence[Identity]) -> Identity | None:
         """Scan one device's identity; return None if a number is not confirmed.
 
-        Devices often have the same vendor, so the numbers of `known` devices are tried first.
+        Devices often have the same vendor, so the numbers of the `identities` are tried first.
         """
         numbers: list[int] = []
         for part in range(4):
             number = 0
             likely = (
-                {identity[part] for identity in known if list(identity[:part]) == numbers} if part < SERIAL else set()
+                {identity[part] for identity in identities if list(identity[:part]) == numbers}
+                if part < SERIAL
+                else set()
             )
             guess = next((n for n in likely if self._step(n, 0, part, part + 1, patience)), None)
             if guess is not None:
@@ -322,5 +324,5 @@ class LssMaster:
         if answer is None:
             raise self._no_answer(service, what, timeout_s)
         if answer[0]:
-            own = f"error {answer[0]}" + (f", its own {answer[1]}" if answer[0] == 0xFF else "")
-            raise LssRefused(f"the device refused {what}: {REASONS.get((service, answer[0]), own)}")
+            reason = f"error {answer[0]}" + (f", its own {answer[1]}" if answer[0] == 0xFF else "")
+            raise LssRefused(f"the device refused {what}: {REASONS.get((service, answer[0]), reason)}")

@@ -188,15 +188,15 @@ def scan(
     return tuple(
         Answers(
             node_id,
-            {p: int.from_bytes(raw, "little") for p, raw in said.items() if p in numbers and 0 < len(raw) <= 4},
-            {p: text for p, raw in said.items() if p in TOLD and (text := _text(raw))},
+            {p: int.from_bytes(raw, "little") for p, raw in contents.items() if p in numbers and 0 < len(raw) <= 4},
+            {p: text for p, raw in contents.items() if p in TOLD and (text := _text(raw))},
             heard.states.get(node_id),
             node_id in values,
             node_id in values and node_id in twice,
             doubts.get(node_id, ""),
         )
         for node_id in sorted(heard.answering | heard.states.keys())
-        for said in (values.get(node_id, {}),)
+        for contents in (values.get(node_id, {}),)
     )
 
 

@@ -143,11 +143,11 @@ def _is_can(machine: Machine, name: str) -> bool:
 
 
 def _missing(can: Interface) -> Outcome:
-    there = [name for name in can.machine.names("/sys/class/net") if _is_can(can.machine, name)]
-    others = f"CAN interfaces here: {', '.join(there)}" if there else "no CAN interface is here"
+    interfaces = [name for name in can.machine.names("/sys/class/net") if _is_can(can.machine, name)]
+    others = f"CAN interfaces here: {', '.join(interfaces)}" if interfaces else "no CAN interface is here"
     fix = (
-        f"# name one of them: --bus socketcan:{comment(there[0])}"
-        if there
+        f"# name one of them: --bus socketcan:{comment(interfaces[0])}"
+        if interfaces
         else "# plug the card in; see `lsusb`, `lspci`, `dmesg`"
     )
     return Outcome(False, f"there is no interface {can.name}; {others}", fix)
@@ -248,11 +248,11 @@ def _interrupts(can: Interface) -> set[str]:
     for place in (device, *device.parents):
         if place == root:
             break
-        own = {entry.name for entry in place.glob("msi_irqs/*")}
+        interrupts = {entry.name for entry in place.glob("msi_irqs/*")}
         with suppress(OSError):
-            own |= {(place / "irq").read_text().strip()}
-        if own := own & set(numbers):
-            return own
+            interrupts |= {(place / "irq").read_text().strip()}
+        if interrupts := interrupts & set(numbers):
+            return interrupts
     return set()
 
 

@@ -17,23 +17,23 @@ DEEP_US = 50
 SHOWN = 6
 
 
-def cycle_cpu(machine: Machine, given: int | None = None) -> int:
+def cycle_cpu(machine: Machine, cpu_option: int | None = None) -> int:
     """Return the CPU for the cycle: the given one, else the machine's last.
 
     CannotRead if the machine does not list its CPUs.
     """
-    return max(machine.online(), default=0) if given is None else given
+    return max(machine.online(), default=0) if cpu_option is None else cpu_option
 
 
-def checks(machine: Machine, given: int | None = None) -> list[Check]:
-    """Return the checks of the CPUs; `given` is the CPU for the cycle."""
+def checks(machine: Machine, cpu_option: int | None = None) -> list[Check]:
+    """Return the checks of the CPUs; `cpu_option` is the CPU for the cycle."""
     of_cpu = (isolated, nohz_full, irq_affinity, governor)
-    entries: list[Check] = [(f"cpu.{check.__name__}", partial(check, machine, given)) for check in of_cpu]
+    entries: list[Check] = [(f"cpu.{check.__name__}", partial(check, machine, cpu_option)) for check in of_cpu]
     return [*entries, ("cpu.c_states", partial(c_states, machine))]
 
 
-def _listed(machine: Machine, name: str, given: int | None, why: str) -> Outcome:
-    online, cpu = machine.online(), cycle_cpu(machine, given)
+def _listed(machine: Machine, name: str, cpu_option: int | None, why: str) -> Outcome:
+    online, cpu = machine.online(), cycle_cpu(machine, cpu_option)
     if len(online) < 2:
         return Outcome(False, "there is one CPU only: the cycle shares it", "# take a machine with two CPUs or more")
     try:
@@ -49,14 +49,14 @@ def _listed(machine: Machine, name: str, given: int | None, why: str) -> Outcome
     return Outcome(False, f"CPU {cpu}, the cycle's, {why}", fix)
 
 
-def isolated(machine: Machine, given: int | None = None) -> Outcome:
+def isolated(machine: Machine, cpu_option: int | None = None) -> Outcome:
     """Check that the cycle's CPU is isolated (isolcpus), so that ordinary threads do not run there."""
-    return _listed(machine, "isolated", given, "is not isolated: ordinary threads run there, too")
+    return _listed(machine, "isolated", cpu_option, "is not isolated: ordinary threads run there, too")
 
 
-def nohz_full(machine: Machine, given: int | None = None) -> Outcome:
+def nohz_full(machine: Machine, cpu_option: int | None = None) -> Outcome:
     """Check that the cycle's CPU is in nohz_full: it has no timer tick while a single thread runs there."""
-    return _listed(machine, "nohz_full", given, "is not in nohz_full: the timer ticks there")
+    return _listed(machine, "nohz_full", cpu_option, "is not in nohz_full: the timer ticks there")
 
 
 def _cpus(cpus: frozenset[int]) -> str:
@@ -73,9 +73,9 @@ def others_mask(online: frozenset[int], cpu: int) -> str:
     return ",".join(reversed(words)).lstrip("0") or "0"
 
 
-def irq_affinity(machine: Machine, given: int | None = None) -> Outcome:
+def irq_affinity(machine: Machine, cpu_option: int | None = None) -> Outcome:
     """Check that no interrupts of other devices come to the cycle's CPU, where they would delay the cycle."""
-    online, cpu = machine.online(), cycle_cpu(machine, given)
+    online, cpu = machine.online(), cycle_cpu(machine, cpu_option)
     if len(online) < 2:
         return Outcome(
             False, "there is one CPU only: all interrupts come there", "# take a machine with two CPUs or more"
@@ -115,9 +115,9 @@ def _affinity(machine: Machine, number: str) -> frozenset[int]:
         return machine.cpus(f"/proc/irq/{number}/smp_affinity_list")
 
 
-def governor(machine: Machine, given: int | None = None) -> Outcome:
+def governor(machine: Machine, cpu_option: int | None = None) -> Outcome:
     """Check the CPU governor: one that saves power changes the clock during the cycle."""
-    cpu = cycle_cpu(machine, given)
+    cpu = cycle_cpu(machine, cpu_option)
     try:
         name = machine.text(f"{CPUS}/cpu{cpu}/cpufreq/scaling_governor")
     except Absent:

@@ -104,11 +104,11 @@ class LatencyError(CoulombusError, RuntimeError):
 
 def read_cyclictest(text: str) -> tuple[dict[int, int], float]:
     """Return counts and maximum from the output of ``cyclictest -q -h``; LatencyError for other texts."""
-    most = _MOST.search(text)
-    if most is None:
+    maximum = _MOST.search(text)
+    if maximum is None:
         raise LatencyError("cyclictest printed no histogram")
     counts = {int(us): int(count) for us, count in _COUNT.findall(text) if int(count)}
-    latest = int(most[1])
+    latest = int(maximum[1])
     overflow = re.search(r"^# Histogram Overflows:\s*(\d+)", text, re.MULTILINE)
     if overflow and int(overflow[1]):
         counts[BINS - 1] = counts.get(BINS - 1, 0) + int(overflow[1])
@@ -215,7 +215,7 @@ def measure_latency(
     contestants = 2 if program else 1
     turns = max(1, round(seconds / ROUND_S / contestants))
     turn_s = seconds / turns / contestants
-    own, beside = Wakeups(), Wakeups()
+    wakeups, beside = Wakeups(), Wakeups()
     reason, refused, done = "" if program else "cyclictest is not installed (rt-tests)", (), 0.0
     loads = len(os.sched_getaffinity(0)) if loads is None else loads
     settings = {
@@ -233,7 +233,7 @@ def measure_latency(
                 progress(since + t)
 
             sleeper = json.loads(_ran(_module("sleeper", json.dumps(settings)), turn_s, tick))
-            own.add({int(us): count for us, count in sleeper["counts"].items()}, sleeper["latest_us"])
+            wakeups.add({int(us): count for us, count in sleeper["counts"].items()}, sleeper["latest_us"])
             refused = tuple(right["name"] for right in sleeper["real_time"] if not right["granted"])
             done += turn_s
             if program and not reason:
@@ -252,7 +252,7 @@ def measure_latency(
                 except LatencyError as error:
                     reason = str(error)
                 done += turn_s
-    return Latency(own, None if reason else beside, reason, refused, loads)
+    return Latency(wakeups, None if reason else beside, reason, refused, loads)
 
 
 def judge(latency: Latency, demands: RigDemands) -> Finding:
@@ -261,23 +261,26 @@ def judge(latency: Latency, demands: RigDemands) -> Finding:
     A wake-up trips if its delay plus a period exceeds a watchdog's time. A wake-up that leaves no room for
     the TPDOs' window loses its period. The 99th percentile must be within a tenth of the period.
     """
-    own = latency.own
+    wakeups = latency.own
     period_us, window_us, watchdog_us = (1e6 * t for t in (demands.period_s, demands.window_s, demands.watchdog_s))
-    lost = own.beyond(period_us - window_us) / own.total if own.total else 1.0
+    lost = wakeups.beyond(period_us - window_us) / wakeups.total if wakeups.total else 1.0
     reasons = []
     if "SCHED_FIFO" in latency.refused:
         reasons.append("SCHED_FIFO was refused")
-    if own.latest_us + period_us > watchdog_us:
+    if wakeups.latest_us + period_us > watchdog_us:
         reasons.append(
-            f"a wake-up was {own.latest_us / 1000:.2f} ms late, and a watchdog ends at {watchdog_us / 1000:g} ms"
+            f"a wake-up was {wakeups.latest_us / 1000:.2f} ms late, and a watchdog ends at {watchdog_us / 1000:g} ms"
         )
     if lost > demands.loss_limit:
         reasons.append(f"{lost:.2%} of the periods are lost, and the limit is {demands.loss_limit:.2%}")
-    if own.at(0.99) > LATE_SHARE * period_us:
+    if wakeups.at(0.99) > LATE_SHARE * period_us:
         reasons.append(
-            f"one wake-up in a hundred is {own.at(0.99):.0f} us late or later, a tenth of the period is {period_us / 10:.0f} us"
+            f"one wake-up in a hundred is {wakeups.at(0.99):.0f} us late or later, a tenth of the period is {period_us / 10:.0f} us"
         )
-    text = f"{own.total} wake-ups beside {latency.loads} busy processes, p50 {own.at(0.5):.0f}, p99 {own.at(0.99):.0f}, latest {own.latest_us:.0f} us"
+    text = (
+        f"{wakeups.total} wake-ups beside {latency.loads} busy processes, "
+        f"p50 {wakeups.at(0.5):.0f}, p99 {wakeups.at(0.99):.0f}, latest {wakeups.latest_us:.0f} us"
+    )
     if latency.cyclictest is not None:
         text += f" (cyclictest {latency.cyclictest.at(0.5):.0f}, {latency.cyclictest.at(0.99):.0f}, {latency.cyclictest.latest_us:.0f})"
     outcome = Outcome(True, f"fit for {demands}: {text}")
@@ -285,7 +288,7 @@ def judge(latency: Latency, demands: RigDemands) -> Finding:
         fix = "# fix the other checks, and test again; until then: simulated nodes only"
         outcome = Outcome(False, f"not fit for {demands}: {'; '.join(reasons)}; {text}", fix)
     figures: dict[str, Any] = {
-        "own": own.as_dict(),
+        "own": wakeups.as_dict(),
         "cyclictest": None if latency.cyclictest is None else latency.cyclictest.as_dict(),
         "refused": list(latency.refused),
         "lost_share": lost,

@@ -73,10 +73,10 @@ def dma_latency(machine: Machine) -> Outcome:
     """Check that /dev/cpu_dma_latency is writable, which the host holds open at 0 us."""
     if dma_writable(machine):
         return Outcome(True, f"{DMA} can be written")
-    there = os.path.lexists(machine.path(DMA))
-    text = f"{DMA} cannot be written" if there else f"there is no {DMA}"
+    exists = os.path.lexists(machine.path(DMA))
+    text = f"{DMA} cannot be written" if exists else f"there is no {DMA}"
     return Outcome(
         False,
         text,
-        DMA_FIX if there else "# a kernel with CONFIG_PM_QOS; in a container: --device /dev/cpu_dma_latency",
+        DMA_FIX if exists else "# a kernel with CONFIG_PM_QOS; in a container: --device /dev/cpu_dma_latency",
     )

@@ -22,18 +22,18 @@ _BOUND = re.compile(r"\s*(>=|<=|==|!=|~=|>|<)\s*([0-9][0-9a-zA-Z.*+!]*)\s*$")
 
 
 def checks(
-    path: Sequence[str] | None = None, programs: Sequence[str] | None = None, own: Path | None = None
+    path: Sequence[str] | None = None, programs: Sequence[str] | None = None, package: Path | None = None
 ) -> list[Check]:
     """Return the checks of the installed software.
 
     Parameters
     ----------
     path, programs : search paths of modules and programs; default are those of this process
-    own : the package's folder; default is the folder of this package
+    package : the package's folder; default is the folder of this package
     """
     modules = sys.path if path is None else path
     folders = os.environ.get("PATH", "").split(os.pathsep) if programs is None else programs
-    here = Path(__file__).resolve().parents[2] / NAME if own is None else own
+    here = Path(__file__).resolve().parents[2] / NAME if package is None else package
     return [
         ("software.versions", versions),
         ("software.import_name", partial(import_name, modules, here)),
@@ -71,7 +71,7 @@ def versions(
         names = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
     except metadata.PackageNotFoundError:
         return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install . in the clone")
-    wrong = []
+    mismatches = []
     for text in needed:
         match = _REQUIREMENT.match(text)
         if match is None or (match[4] and "extra" in match[4]):
@@ -79,17 +79,17 @@ def versions(
         try:
             have = version(match[1])
         except metadata.PackageNotFoundError:
-            wrong.append(f"{match[1]} is missing")
+            mismatches.append(f"{match[1]} is missing")
             continue
         names.append(f"{match[1]} {have}")
         if not requirement_met(match[3], have):
-            wrong.append(f"{match[1]} is {have}, expected {match[3].strip()}")
-    if wrong:
-        return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade . in the clone")
+            mismatches.append(f"{match[1]} is {have}, expected {match[3].strip()}")
+    if mismatches:
+        return Outcome(False, "; ".join(mismatches), f"{sys.executable} -m pip install --upgrade . in the clone")
     return Outcome(True, ", ".join(names))
 
 
-def import_name(path: Sequence[str], own: Path) -> Outcome:
+def import_name(path: Sequence[str], package: Path) -> Outcome:
     """Check that the module path has no other `coulombus`.
 
     A folder `coulombus` without `__init__.py` in the current folder, such as a clone, hides a package in
@@ -97,17 +97,17 @@ def import_name(path: Sequence[str], own: Path) -> Outcome:
     """
     others = []
     clone = Path.cwd() / NAME
-    hidden = own.parent.resolve() not in {Path(entry).resolve() for entry in path}
+    hidden = package.parent.resolve() not in {Path(entry).resolve() for entry in path}
     if hidden and clone.is_dir() and not (clone / "__init__.py").is_file():
         others.append(str(clone))
     for entry in dict.fromkeys(path):
         folder = Path(entry or ".")
         for candidate in (folder / NAME / "__init__.py", folder / f"{NAME}.py"):
             place = candidate.parent if candidate.name == "__init__.py" else candidate
-            if candidate.is_file() and place.resolve() != own.resolve():
+            if candidate.is_file() and place.resolve() != package.resolve():
                 others.append(str(place))
     if not others:
-        return Outcome(True, f"only {own}")
+        return Outcome(True, f"only {package}")
     fix = "# rename it, work in another folder, or take its folder out of PYTHONPATH: " + ", ".join(others)
     return Outcome(False, f"another {NAME} can be imported: {', '.join(others)}", fix)
 
@@ -123,13 +123,13 @@ def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
             and script.resolve() not in (place.resolve() for place in scripts)
         ):
             scripts.append(script)
-    own = prefix / "bin" / NAME
+    command = prefix / "bin" / NAME
     if not scripts:
-        return Outcome(True, f"not on PATH; call it as {own}")
-    if scripts[0].resolve() == own.resolve():
+        return Outcome(True, f"not on PATH; call it as {command}")
+    if scripts[0].resolve() == command.resolve():
         return Outcome(True, str(scripts[0]))
     fix = f". {prefix}/bin/activate  # in each terminal, or: hash -r; export PATH={prefix}/bin:$PATH"
-    return Outcome(False, f"the shell takes {scripts[0]}, not {own}", fix)
+    return Outcome(False, f"the shell takes {scripts[0]}, not {command}", fix)
 
 
 def compiled() -> Outcome:

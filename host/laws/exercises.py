@@ -28,25 +28,25 @@ def sweep(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     If the handle makes no progress for 0.5 s, because a hand or a stop holds it, the direction is reversed.
     The first 0.2 s are without torque, so that a recording shows the end of the sign check.
     """
-    own = state.user  # 0: direction, 1: integral, 2: reversals, 3: start angle, 4: time without progress, 5: time
-    own[5] += motion.dt_s
-    if own[5] < 0.2:
+    memory = state.user  # 0: direction, 1: integral, 2: reversals, 3: start angle, 4: time without progress, 5: time
+    memory[5] += motion.dt_s
+    if memory[5] < 0.2:
         return 0.0
-    if own[0] == 0.0:
-        own[0] = 1.0
-        own[3] = motion.x_rad
-    k = int(own[2]) // 2 % 3
-    e = own[0] * law.user[4 + k] - motion.v_rad_s
-    own[4] = own[4] + motion.dt_s if own[0] * motion.v_rad_s < 0.25 * law.user[4 + k] else 0.0
-    if (motion.x_rad - own[3]) * own[0] >= law.user[1] or own[4] > 0.5:
-        own[0] = -own[0]
-        own[1] = 0.0
-        own[2] += 1.0
-        own[4] = 0.0
+    if memory[0] == 0.0:
+        memory[0] = 1.0
+        memory[3] = motion.x_rad
+    k = int(memory[2]) // 2 % 3
+    e = memory[0] * law.user[4 + k] - motion.v_rad_s
+    memory[4] = memory[4] + motion.dt_s if memory[0] * motion.v_rad_s < 0.25 * law.user[4 + k] else 0.0
+    if (motion.x_rad - memory[3]) * memory[0] >= law.user[1] or memory[4] > 0.5:
+        memory[0] = -memory[0]
+        memory[1] = 0.0
+        memory[2] += 1.0
+        memory[4] = 0.0
         return 0.0
     limit = law.user[0]
-    own[1] = min(max(own[1] + law.user[3] * e * motion.dt_s, -limit), limit)
-    torque: float = min(max(law.user[2] * e + own[1], -limit), limit)
+    memory[1] = min(max(memory[1] + law.user[3] * e * motion.dt_s, -limit), limit)
+    torque: float = min(max(law.user[2] * e + memory[1], -limit), limit)
     return -torque
 
 

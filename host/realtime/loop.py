@@ -123,11 +123,11 @@ def _obey(b: Buffers) -> None:
         held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
         for k in range(axes.shape[0]):
             axes[k].host.deadman_ok = held
-    order = load_acquire(base + AT_ORDER)
-    if order != p.ordered:
-        p.ordered = order
-        axes[p.order_axis].live.wanted = order
-        log_moment(b.plane, b.trace, Moment.SET, now_ns(), order)
+    number = load_acquire(base + AT_ORDER)
+    if number != p.ordered:
+        p.ordered = number
+        axes[p.order_axis].live.wanted = number
+        log_moment(b.plane, b.trace, Moment.SET, now_ns(), number)
 
 
 @kernel

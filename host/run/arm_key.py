@@ -39,7 +39,7 @@ class ArmKey:
         self._wrong_ns: deque[int] = deque(maxlen=TRIES)
         self._lock_ns, self._until_ns = LOCK_NS, 0
 
-    def why_not(self, given: str, now_ns: int) -> str | None:
+    def why_not(self, key: str, now_ns: int) -> str | None:
         """Return the reason why a key is refused; None if it is accepted. An empty key is no attempt.
 
         Parameters
@@ -51,9 +51,9 @@ class ArmKey:
         if now_ns < self._until_ns:
             left_s = -(-(self._until_ns - now_ns) // 1_000_000_000)
             return f"too many wrong arm keys: none is taken for another {left_s} s, the right one neither"
-        if not given:
+        if not key:
             return "a hand may be on the handle: a change needs the arm key; " + _WHERE
-        if hmac.compare_digest(given.encode(errors="surrogatepass"), self.text.encode()):  # JSON may hold a surrogate
+        if hmac.compare_digest(key.encode(errors="surrogatepass"), self.text.encode()):  # JSON may hold a surrogate
             self._wrong_ns.clear()
             self._lock_ns = LOCK_NS
             return None

@@ -143,38 +143,40 @@ def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[st
     worst sign check, the remarks of all, the first trip, and every bus' own result under ``buses``. Exit
     status and error are those of the first bus that failed by itself.
     """
-    known = {channel: result for channel, result in results.items() if result is not None}
-    whole: dict[str, Any] = dict(next((result for result in known.values() if "error" not in result), {}))
+    reported = {channel: result for channel, result in results.items() if result is not None}
+    whole: dict[str, Any] = dict(next((result for result in reported.values() if "error" not in result), {}))
     axes: dict[str, Any] = {}
-    for result in known.values():
+    for result in reported.values():
         axes |= result.get("axes") or {}
     whole["axes"] = axes
     for name in ("lost_pdos", "missed_deadlines"):
-        whole[name] = sum(result.get(name) or 0 for result in known.values())
-    counters = [result.get("counters") or {} for result in known.values()]
+        whole[name] = sum(result.get(name) or 0 for result in reported.values())
+    counters = [result.get("counters") or {} for result in reported.values()]
     if any(counters):
         whole["counters"] = {
             name: sum(counts.get(name, 0) for counts in counters) for counts in counters for name in counts
         }
-    checks = [SIGN_CHECKS.index(check) for result in known.values() if (check := result.get("sign_check"))]
+    checks = [SIGN_CHECKS.index(check) for result in reported.values() if (check := result.get("sign_check"))]
     if checks:
         whole["sign_check"] = SIGN_CHECKS[max(checks)]
     if "remarks" in whole:
-        whole["remarks"] = [text for result in known.values() for text in result.get("remarks") or ()]
-        gains: list[Any] = [result.get("full_gain_s") for result in known.values()]
+        whole["remarks"] = [text for result in reported.values() for text in result.get("remarks") or ()]
+        gains: list[Any] = [result.get("full_gain_s") for result in reported.values()]
         whole["full_gain_s"] = None if None in gains else max(gains)
-    trips = [result["trip"] for result in known.values() if result.get("trip")]
+    trips = [result["trip"] for result in reported.values() if result.get("trip")]
     whole["trip"] = next((trip for trip in trips if "OTHER_AXIS" not in trip), trips[0] if trips else None)
     bad = next((channel for channel, status in statuses.items() if status not in (0, status_of(signal.SIGTERM))), None)
     whole["exit_status"] = max(statuses.values(), default=0) if bad is None else statuses[bad]
-    if bad is not None and "error" in known.get(bad, {}):
-        whole["error"] = known[bad]["error"]
-    if any(result.get("faults") for result in known.values()):
-        whole["faults"] = [{**fault, "bus": c} for c, result in known.items() for fault in result.get("faults") or ()]
+    if bad is not None and "error" in reported.get(bad, {}):
+        whole["error"] = reported[bad]["error"]
+    if any(result.get("faults") for result in reported.values()):
+        whole["faults"] = [
+            {**fault, "bus": c} for c, result in reported.items() for fault in result.get("faults") or ()
+        ]
         whole["controllers"] = {
             f"{c}.{name}": summary
-            for c, result in known.items()
+            for c, result in reported.items()
             for name, summary in (result.get("controllers") or {}).items()
         }
-    whole["buses"] = dict(known)
+    whole["buses"] = dict(reported)
     return whole

@@ -61,8 +61,8 @@ class Changes:
         now_ns : time of a monotonic clock
         """
         try:
-            order = _order(text)
-            change = self._change(order, now_ns) if order["values"] or order["undo"] else None
+            request = _order(text)
+            change = self._change(request, now_ns) if request["values"] or request["undo"] else None
         except NotTaken as error:
             return {"error": str(error), "again": True}
         except ChangeRefused as error:
@@ -74,14 +74,14 @@ class Changes:
         """Return the reason why the arm key is refused; None if it is right, or none is needed."""
         return self._key.why_not(key, now_ns)
 
-    def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
-        reason = self._why_not() or self._key.why_not(order["key"], now_ns)
+    def _change(self, request: Mapping[str, Any], now_ns: int) -> Change:
+        reason = self._why_not() or self._key.why_not(request["key"], now_ns)
         if reason is not None:
             raise ChangeRefused(reason)
-        if order["undo"]:
-            change = self.parameters.undo(order["over_s"])
+        if request["undo"]:
+            change = self.parameters.undo(request["over_s"])
         else:
-            change = self.parameters.change(order["values"], order["axis"], order["over_s"])
+            change = self.parameters.change(request["values"], request["axis"], request["over_s"])
         self._apply(change)
         return change
 
@@ -100,17 +100,17 @@ def _order(text: str) -> dict[str, Any]:
         request = None
     if not isinstance(request, dict) or not request.keys() <= set(KEYS):
         raise ChangeRefused(f"expected a JSON object with keys of {', '.join(KEYS)}")
-    order = {"values": {}, "axis": "", "over_s": OVER_S, "undo": False, "key": "", **request}
-    values, right = order["values"], isinstance(order["values"], dict)
-    right = right and all(_is_number(value) for value in values.values()) and _is_number(order["over_s"])
-    right = right and isinstance(order["undo"], bool)
-    if not right or not all(isinstance(order[name], str) for name in ("axis", "key")):
+    full_request = {"values": {}, "axis": "", "over_s": OVER_S, "undo": False, "key": "", **request}
+    values, right = full_request["values"], isinstance(full_request["values"], dict)
+    right = right and all(_is_number(value) for value in values.values()) and _is_number(full_request["over_s"])
+    right = right and isinstance(full_request["undo"], bool)
+    if not right or not all(isinstance(full_request[name], str) for name in ("axis", "key")):
         raise ChangeRefused(
             'expected as in {"values": {"F_s_Nm": 2.0}, "axis": "", "over_s": 0.5, "undo": false, "key": ""}'
         )
-    if values and order["undo"]:
+    if values and full_request["undo"]:
         raise ChangeRefused("expected values, or undo, and not both")
-    return order
+    return full_request
 
 
 def _is_number(value: object) -> bool:

@@ -389,7 +389,7 @@ def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S
     return answer
 
 
-def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
+def ask_change(address: BusAddress, request: dict[str, Any], timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
     """Request a change of parameters from the host on a bus; return its answer (`host.run.changes`).
 
     Raises
@@ -399,7 +399,7 @@ def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = ST
     NotChanged
         the host refuses; nothing is changed
     """
-    message = SET + json.dumps(order).encode(errors="replace")
+    message = SET + json.dumps(request).encode(errors="replace")
     deadline = time.monotonic() + timeout_s
     while True:
         answer = _ask(address, message, timeout_s)

@@ -43,7 +43,7 @@ def coarse_dict(bins: Counts) -> dict[str, Any]:
 
 def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Path) -> None:
     """Write the figure of both histograms to `path`, with the period as the deadline of both."""
-    with figure(7.0, 4.2) as (made, axes):
+    with figure(7.0, 4.2) as (fig, axes):
         for bins, colour, name in (
             (wakeup, BLUE, "woke after its deadline"),
             (latency, VERMILION, "SYNC to last RPDO"),
@@ -59,4 +59,4 @@ def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Pat
         axes.set(xscale="log", yscale="log")
         label(axes, "time [us]; dashed: p99", "cycles", f"{int(wakeup.sum()):,} cycles of the data plane")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
-        made.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+        fig.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)

@@ -67,21 +67,21 @@ def measure_compute(
         the law cannot be loaded
     """
     controllers = Controllers(rig, mode)
-    own, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    own.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-    own.setblocking(False)
-    devices = _Devices(controllers, theirs)
+    host_end, device_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    host_end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    host_end.setblocking(False)
+    devices = _Devices(controllers, device_end)
     try:
         plane = DataPlane(
             controllers,
             BusAddress("coulombus", "compute"),
             priority=priority,
             cpu=default_cpu() if cpu is None else cpu,
-            line=own,
+            line=host_end,
         )
     except BaseException:
-        own.close()
-        theirs.close()
+        host_end.close()
+        device_end.close()
         raise
     try:
         plane.wait_ready()

@@ -129,7 +129,7 @@ def newest_word() -> tuple[BusAddress, dict[str, Any]] | None:
         folder = _path(BusAddress("coulombus", "any")).parent
         names = [path.name.removesuffix(f"{HOST_SUFFIX}{SUFFIX}") for path in folder.glob(f"*{HOST_SUFFIX}{SUFFIX}")]
         words = [(address, word) for address in map(address_of, names) if (word := last_word(address))]
-        return max(words, key=lambda found: str(found[1]["ended"]), default=None)
+        return max(words, key=lambda entry: str(entry[1]["ended"]), default=None)
     return None
 
 

@@ -72,11 +72,11 @@ def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
     speeds = [*(-far * share for share in SPEEDS[::-1]), *(far * share for share in SPEEDS)]
     ends = [last(v) for v in speeds]
     means = [float(torques.mean()) for torques in ends]
-    most = SAME * max(map(abs, means))
+    negligible_Nm = SAME * max(map(abs, means))
     middle = len(SPEEDS) // 2
     elsewhere = (last(speeds[middle], away) for away in (AWAY_RAD, -AWAY_RAD))
-    if any(np.ptp(torques) > most for torques in ends) or any(
-        abs(torques.mean() - means[middle]) > most for torques in elsewhere
+    if any(np.ptp(torques) > negligible_Nm for torques in ends) or any(
+        abs(torques.mean() - means[middle]) > negligible_Nm for torques in elsewhere
     ):
         return None
     return tuple(speeds), tuple(means)

@@ -45,11 +45,11 @@ def law_ring(rig: Rig, mode: str, live: Mapping[str, float]) -> Line | None:
     law = _changed(model.law, live)
     angles = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
     slow = np.array([_steady(law, angle, SPEED_M_S) for angle in angles])
-    most = SAME * float(np.abs(slow).max())
+    negligible_N = SAME * float(np.abs(slow).max())
     for k in range(0, DIRECTIONS, DIRECTIONS // 8):
         faster = _steady(law, angles[k], FASTER_M_S)
         away = _steady(law, angles[k], SPEED_M_S, AWAY_M)
-        if max(np.abs(faster - slow[k]).max(), np.abs(away - slow[k]).max()) > most:
+        if max(np.abs(faster - slow[k]).max(), np.abs(away - slow[k]).max()) > negligible_N:
             return None
     x, y = (-slow).T.tolist()
     return tuple(x), tuple(y)

@@ -50,7 +50,7 @@ class BitMark:
     text: str
 
 
-def bit_mark(given: str, rig: Rig) -> BitMark:
+def bit_mark(argument: str, rig: Rig) -> BitMark:
     """Return the `BitMark` of ``SIGNAL:MASK=TEXT``, as in ``motor.statusword:0x400=target reached``.
 
     Raises
@@ -58,7 +58,7 @@ def bit_mark(given: str, rig: Rig) -> BitMark:
     ValueError
         the form is wrong, no PDO of the rig carries the signal, or the signal has no such bits
     """
-    place, equals, text = given.partition("=")
+    place, equals, text = argument.partition("=")
     name, colon, bits = place.rpartition(":")
     try:
         mask = int(bits, 16) if equals and colon else 0
@@ -66,22 +66,22 @@ def bit_mark(given: str, rig: Rig) -> BitMark:
         mask = 0
     if mask <= 0:
         raise ValueError(
-            f"{given!r}: expected SIGNAL:MASK=TEXT with a mask of bits, as in motor.statusword:0x400=there"
+            f"{argument!r}: expected SIGNAL:MASK=TEXT with a mask of bits, as in motor.statusword:0x400=there"
         )
-    known = {
+    signals = {
         signal.name: (pdo.layout, start, entry.bits)
         for pdo in rig.pdos()
         for signal, start, entry in zip(pdo.signals, pdo.layout.starts, pdo.layout.entries, strict=False)
     }
-    if name not in known:
-        raise ValueError(f"{given!r}: no PDO of the rig carries the signal {name!r}{nearest(name, known)}")
-    layout, start, size = known[name]
+    if name not in signals:
+        raise ValueError(f"{argument!r}: no PDO of the rig carries the signal {name!r}{nearest(name, signals)}")
+    layout, start, size = signals[name]
     if mask >= 1 << size:
-        raise ValueError(f"{given!r}: {name} has {size} bits; the mask {mask:#x} has more")
+        raise ValueError(f"{argument!r}: {name} has {size} bits; the mask {mask:#x} has more")
     try:
         return BitMark(name, layout.cob_id, layout.length, mask << start, marker_of(text))
     except ValueError as error:
-        raise ValueError(f"{given!r}: {error}") from None
+        raise ValueError(f"{argument!r}: {error}") from None
 
 
 class BitMarks:

@@ -112,14 +112,14 @@ class RunResult(Doubts, Timing, Measures):
         record: Path | None,
         trip: str | None,
         losses: Sequence[str],
-        **own: Any,
+        **world_fields: Any,
     ) -> RunResult:
         """Return the result of a run from its controllers.
 
         Parameters
         ----------
         figures : the display's figures of each axis
-        own : fields that differ between virtual time and a rig
+        world_fields : fields that differ between virtual time and a rig
         """
         return cls(
             mode=host.mode,
@@ -134,7 +134,7 @@ class RunResult(Doubts, Timing, Measures):
             full_gain_s=full_gain_s(host),
             remarks=display_remarks(host),
             losses=list(losses) or None,
-            **own,
+            **world_fields,
         )
 
     def as_dict(self) -> dict[str, Any]:

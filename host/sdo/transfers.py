@@ -213,16 +213,16 @@ def upload(
     return (yield from _ordinary(say, answer, most, progress))
 
 
-def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Transfer[bytes]:
+def _ordinary(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
     """Continue an upload after the server's first answer, expedited or by segments."""
     if answer[0] >> 5 != 2:
         raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
         return answer[4 : 8 - (answer[0] >> 2 & 3)]
     size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
-    if size is not None and size > most:
-        raise say.wrong(f"it has {size} bytes, {most} are the most expected", Abort.MEMORY)
-    limit = size if size is not None else min(most, MOST_UNTOLD)
+    if size is not None and size > max_bytes:
+        raise say.wrong(f"it has {size} bytes, {max_bytes} are the most expected", Abort.MEMORY)
+    limit = size if size is not None else min(max_bytes, MOST_UNTOLD)
     data, toggle, last = b"", 0, False
     while not last:
         answer = yield from say.next(bytes((0x60 | toggle,)) + bytes(7))
@@ -240,7 +240,7 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
     return data
 
 
-def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes | None]:
+def _block_upload(say: _Answers, max_bytes: int, progress: Progress) -> Transfer[bytes | None]:
     """Return the object's bytes; None if the server begins a segmented upload.
 
     Then the server lacks block transfer, or its answer to the previous request was delivered twice.
@@ -249,16 +249,16 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
     if answer[0] >> 5 == 2:
         say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may still arrive
         return None
-    return (yield from _blocks(say, answer, most, progress))
+    return (yield from _blocks(say, answer, max_bytes, progress))
 
 
-def _blocks(say: _Answers, answer: bytes, most: int, progress: Progress) -> Transfer[bytes]:
+def _blocks(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
     """Continue a block upload after the server's first answer."""
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)
     size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x02 else 0
-    limit = size or min(most, MOST_UNTOLD)
+    limit = size or min(max_bytes, MOST_UNTOLD)
     data = bytearray()
     message = b"\xa3" + bytes(7)
     repeated, last = 0, False

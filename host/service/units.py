@@ -156,7 +156,7 @@ def _unit(
         if service.rig.find("/") < 0 and not service.program[0].startswith(("/home/", "/root/"))
         else "read-only"
     )
-    own = USER_HARDENED if service.user else HARDENED.format(home=home)
+    hardening = USER_HARDENED if service.user else HARDENED.format(home=home)
     who = "" if service.user else f"User={USER}\nGroup={USER}\nSupplementaryGroups={GROUP}\n"
     places = (
         ""
@@ -170,7 +170,7 @@ def _unit(
     return (
         f"# made by `coulombus systemd`\n[Unit]\nDescription={what}\nDocumentation=man:systemd.service(5)\n{after}\n"
         f"[Service]\nType=notify\nNotifyAccess=main\nExecStart={command}\nWatchdogSec={watchdog_s}\n"
-        f"TimeoutStartSec={START_S}\n{again}{lines}{who}{places}{limits}{own}{install}"
+        f"TimeoutStartSec={START_S}\n{again}{lines}{who}{places}{limits}{hardening}{install}"
     )
 
 

@@ -164,15 +164,15 @@ class _Device:
             (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
             **{(0x1018, sub): (what, "the rig file", value) for sub, what, value in self.plan.identity},
         }
-        differences, there = [], {}
+        differences, device_values = [], {}
         for (index, subindex), (what, source, value) in expected.items():
-            there[index, subindex] = self.number(index, subindex)
-            if isinstance(value, int) and there[index, subindex] != value:
+            device_values[index, subindex] = self.number(index, subindex)
+            if isinstance(value, int) and device_values[index, subindex] != value:
                 differences.append(
-                    f"{self.name} (node {self.node_id}): {what} {index:04X}h:{subindex:02X} is {there[index, subindex]:#010x}, "
+                    f"{self.name} (node {self.node_id}): {what} {index:04X}h:{subindex:02X} is {device_values[index, subindex]:#010x}, "
                     f"{source} says {value:#010x}"
                 )
-        self.identity = there.get((0x1018, 1), 0), there.get((0x1018, 2), 0)
+        self.identity = device_values.get((0x1018, 1), 0), device_values.get((0x1018, 2), 0)
         return differences
 
     def check_modes(self) -> None:
@@ -215,13 +215,13 @@ class _Device:
             if (index, subindex) in left_out:
                 continue
             variable = variables.get((index, subindex)) or self.description.variable(index, subindex)
-            data, there = encoded(variable, value), self.upload(index, subindex)
-            if len(there) != len(data):
+            data, stored = encoded(variable, value), self.upload(index, subindex)
+            if len(stored) != len(data):
                 differences.append(
-                    f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(data)} in {self.description.path}"
+                    f"{self._where(index, subindex)} has {len(stored)} bytes in the device, {len(data)} in {self.description.path}"
                 )
-            elif there != data:
-                number = number_of(variable, there)
+            elif stored != data:
+                number = number_of(variable, stored)
                 differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {number:#x}")
         return differences
 
@@ -290,12 +290,12 @@ def _shown_modes(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str,
     """Compare the modes that the drives display with the written modes; return the losses."""
     devices = [_Device(plane, plan, BusAnswers()) for plan in plans]
     try:
-        told = [check_shown_mode(device.plan, device.upload, plane.wait_ns) for device in devices]
+        losses = [check_shown_mode(device.plan, device.upload, plane.wait_ns) for device in devices]
     except HostError:
         _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
         plane.wait_ns(SETTLE_NS)
         raise
-    return tuple(filter(None, told))
+    return tuple(filter(None, losses))
 
 
 def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:

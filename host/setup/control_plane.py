@@ -53,13 +53,13 @@ class RealControlPlane:
             raise
 
     def _join(self, rig: Rig, channel: str, address: BusAddress) -> None:
-        there = [node for node in rig.nodes if node.channel == channel]
-        own = {base + node.node_id for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in there}
-        own |= {node.emcy_id for node in there}
-        link = BusLink(address, _filters(own | set(self._foreign)))
+        nodes = [node for node in rig.nodes if node.channel == channel]
+        identifiers = {base + node.node_id for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
+        identifiers |= {node.emcy_id for node in nodes}
+        link = BusLink(address, _filters(identifiers | set(self._foreign)))
         self._links.append(link)
-        self._own[link] = own
-        for node in there:
+        self._own[link] = identifiers
+        for node in nodes:
             for base in (CobId.SDO_RX, CobId.HEARTBEAT):  # the latter for node guarding
                 self._link_of[base + node.node_id] = link
 

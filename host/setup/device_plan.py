@@ -76,8 +76,8 @@ class DevicePlan:
     @property
     def identity(self) -> tuple[tuple[int, str, int], ...]:
         """The compared entries of 1018h: (sub-index, name, value in the rig file)."""
-        said = ((1, "vendor id", self.part.vendor_id), (2, "product code", self.part.product_code))
-        return tuple((sub, what, value) for sub, what, value in said if value is not None and self.has_identity(sub))
+        numbers = ((1, "vendor id", self.part.vendor_id), (2, "product code", self.part.product_code))
+        return tuple((sub, what, value) for sub, what, value in numbers if value is not None and self.has_identity(sub))
 
     def has_identity(self, subindex: int) -> bool:
         """Return whether the device has 1018h with this sub-index."""
@@ -110,13 +110,13 @@ class _Planner:
         """Return the plan."""
         self._identity()
         self._emergency()
-        there = self._described()
-        final = {(s.index, s.subindex): s.value for s in there}  # the last value of an object counts
-        kept = [setting for setting in there if self._can_be_set(setting, final)]
-        written = tuple(s for s in kept if not _locked(self.description, s))
+        settings = self._described()
+        final = {(s.index, s.subindex): s.value for s in settings}  # the last value of an object counts
+        settable = [setting for setting in settings if self._can_be_set(setting, final)]
+        written = tuple(s for s in settable if not _locked(self.description, s))
         self._granularity(written)
-        unread = {(s.index, s.subindex) for s in there if not s.verify}
-        left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
+        unread = {(s.index, s.subindex) for s in settings if not s.verify}
+        left_out = {(s.index, s.subindex) for s in settings} - {(s.index, s.subindex) for s in settable}
         read_backs = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
         operation_mode = self._modes() if self._is_drive else None
         shows_mode = self._is_drive and self._shows_mode()
@@ -126,10 +126,10 @@ class _Planner:
             self._further_axis()
             position = self._position()
         self._silent()
-        reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
+        reactions = reactions_of(self.axis, self.node, settable) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
             self._acknowledge(NO_REACTION, "its last set-point acts on after the loss of the host", self._acts)
-        said = self.axis.said
+        spelled = self.axis.said
         return DevicePlan(
             name=self.name,
             node_id=self.part.node_id,
@@ -140,10 +140,11 @@ class _Planner:
             writes=written,
             read_backs=read_backs,
             problems=tuple(
-                problem._replace(text=said(problem.text), remedy=said(problem.remedy)) for problem in self.problems
+                problem._replace(text=spelled(problem.text), remedy=spelled(problem.remedy))
+                for problem in self.problems
             ),
-            questions=tuple(map(said, self.questions)),
-            losses=tuple(map(said, self.losses)),
+            questions=tuple(map(spelled, self.questions)),
+            losses=tuple(map(spelled, self.losses)),
             reactions=reactions,
             shows_mode=shows_mode,
             position=position,
@@ -172,12 +173,12 @@ class _Planner:
 
     def _described(self) -> list[Setting]:
         """Return the settings whose objects the device has; each other setting is a loss or a problem."""
-        there = []
+        settings = []
         for setting in settings_of(self.axis, self.node, self.mode, self.limit_pm):
             meant = self.ours or setting.listed or setting.index not in MANUFACTURER
             has = self.description.has(setting.index, setting.subindex) or setting.type
             if meant and has:
-                there.append(setting)
+                settings.append(setting)
                 if setting.told:
                     self.losses.append(f"{self.who}: {setting.told}")
             elif not setting.optional:
@@ -190,7 +191,7 @@ class _Planner:
                 why = "is not described" if meant else "is the maker's own object: 1018h of the EDS file is not ours"
                 place = _place(setting) if setting.subindex else f"{setting.index:04X}h"
                 self.losses.append(f"{self.who}: {place} is not written, it {why}; {setting.lost}")
-        return there
+        return settings
 
     def _can_be_set(self, setting: Setting, final: Mapping[tuple[int, int], int]) -> bool:
         """Return whether a setting stays in the plan; else add the reason as a loss or a problem."""
@@ -233,12 +234,12 @@ class _Planner:
 
     def _identity(self) -> None:
         """Check 1000h and 1018h: entries that the EDS file lacks, or that differ from the rig file."""
-        description, said = self.description, (self.part.vendor_id, self.part.product_code)
+        description, rig_numbers = self.description, (self.part.vendor_id, self.part.product_code)
         keys = ("vendor_id", "product_code")
         if not description.has(0x1000, 0):
             text = f", object 1000h:00 is needed to know the device, but {description.path} does not have it"
             self._problem(text, "take the EDS file of this very device", "1000h:00")
-        for subindex, (number, value) in enumerate(zip(told_identity(description), said, strict=True), 1):
+        for subindex, (number, value) in enumerate(zip(told_identity(description), rig_numbers, strict=True), 1):
             what, key = (
                 f"{keys[subindex - 1].replace('_', ' ')} 1018h:{subindex:02X}",
                 f"{self.node}.{keys[subindex - 1]}",
@@ -293,12 +294,12 @@ class _Planner:
 
     def _further_axis(self) -> None:
         """Refuse a set-point of an axis of the drive that bring-up does not configure."""
-        entry, own = self.axis.allocation.bound["torque_setpoint"].entry, drive_axis_of(self.axis.motor)
+        entry, drive_axis = self.axis.allocation.bound["torque_setpoint"].entry, drive_axis_of(self.axis.motor)
         number = axis_of(entry.index)
-        if number != own and first_axis_object(entry.index) == TARGET_TORQUE:
+        if number != drive_axis and first_axis_object(entry.index) == TARGET_TORQUE:
             objects = ", ".join(f"{of_axis(index, number):04X}h" for index in (0x6060, MAX_TORQUE, 0x605A))
             why = (
-                f"bring-up sets mode, limits and reactions of axis {own}; set motor.drive_axis = {number}, "
+                f"bring-up sets mode, limits and reactions of axis {drive_axis}; set motor.drive_axis = {number}, "
                 f"or list those of axis {number} ({objects}) in [[motor.sdo]]"
             )
             self._acknowledge(f"its set-point is axis {number}'s", why, True)

@@ -31,8 +31,8 @@ class Demand(NamedTuple):
 
 def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     """Yield an error for each demand above the motor's limit: the law's, and the compensation's."""
-    chosen, scale = axis.mode[mode], torque_step_Nm(axis)
-    compensation = chosen.compensation * axis.mechanics.friction_Nm
+    mode_keys, scale = axis.mode[mode], torque_step_Nm(axis)
+    compensation = mode_keys.compensation * axis.mechanics.friction_Nm
     demands = [Demand(f"mode.{mode}.compensation", compensation)]
     if mode == "active":  # in slip the compensation is subtracted
         slip = f"mode.{mode}.F_d_Nm"
@@ -67,12 +67,12 @@ def _tip(rig: Rig, mode: str) -> Iterator[RigError]:
     assert model is not None
     assert kinematics is not None
     pose = model.mechanism.pose(*kinematics.start_rad)
-    found = condition(pose)
-    if not found >= kinematics.least_condition:
+    condition_number = condition(pose)
+    if not condition_number >= kinematics.least_condition:
         where, names = rig.origin.source().where(("kinematics", "start_rad"))[1], "kinematics.start_rad"
         yield RigError(
             [
-                f"{where}: {names}: the Jacobian's condition is {found:.2g} there, "
+                f"{where}: {names}: the Jacobian's condition is {condition_number:.2g} there, "
                 f"and kinematics.least_condition is {kinematics.least_condition:g}: the arm would not be armed"
             ]
         )
@@ -93,11 +93,14 @@ def _tip(rig: Rig, mode: str) -> Iterator[RigError]:
 
 def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     """Return the peak outputs of the rig's law in a mode; empty if they are unknown."""
-    own = BUILTIN_LAWS.get(axis.law.function.strip())
-    if own is None:
+    builtin = BUILTIN_LAWS.get(axis.law.function.strip())
+    if builtin is None:
         return ()
-    values, place = axis_parameters(axis, own, mode), f"mode.{mode}" if own.uses_mode_keys else f"law.{own.name}"
-    return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in own.extremes)
+    values, place = (
+        axis_parameters(axis, builtin, mode),
+        f"mode.{mode}" if builtin.uses_mode_keys else f"law.{builtin.name}",
+    )
+    return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in builtin.extremes)
 
 
 def law_extremes(axis: Axis, mode: str) -> list[float]:

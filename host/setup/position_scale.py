@@ -61,12 +61,12 @@ class BelievedScale(NamedTuple):
 
     def difference(self, value: Callable[[int, int], int | None]) -> str:
         """Return the text of the drive's different scale; "" if it agrees, or the drive has no scale."""
-        told = self.told(value)
-        if told.counts_rev is None or told.agrees(self.counts_rev):
+        drive_scale = self.told(value)
+        if drive_scale.counts_rev is None or drive_scale.agrees(self.counts_rev):
             return ""
         name = f"{self.place[0]:04X}h"
         return (
-            f"{self.who}: {name} counts {told.counts_rev:.9g} in one turn of the motor ({told.by}), "
+            f"{self.who}: {name} counts {drive_scale.counts_rev:.9g} in one turn of the motor ({drive_scale.by}), "
             f"the rig file says {self.counts_rev:.9g} ({self.key})"
         )
 

@@ -176,17 +176,17 @@ def speed_of_failure(axis: Axis, load_Nm: float, noticed_s: float) -> float:
     coil_s, fluid_s = axis.brake.coil_lag_s, axis.brake.fluid_lag_s
     if coil_s <= 0.0 and fluid_s <= 0.0:
         fluid_s = DEFAULT_LAG_S
-    v = x = coil = fluid = t = most = 0.0
+    v = x = coil = fluid = t = fastest_rad_s = 0.0
     dt = STEP_S
     while v >= 0.0 and t < LONGEST_S:
-        asked = 0.0 if t < noticed_s else limit_Nm if fluid < load_Nm else load_Nm
-        coil = asked if coil_s <= 0.0 else coil + (asked - coil) * min(dt / coil_s, 1.0)
+        setpoint_Nm = 0.0 if t < noticed_s else limit_Nm if fluid < load_Nm else load_Nm
+        coil = setpoint_Nm if coil_s <= 0.0 else coil + (setpoint_Nm - coil) * min(dt / coil_s, 1.0)
         fluid = coil if fluid_s <= 0.0 else fluid + (coil - fluid) * min(dt / fluid_s, 1.0)
         v += (load_Nm - min(fluid, load_Nm) - B * v - K * x) / J * dt
         x += v * dt
         t += dt
-        most = max(most, v)
-    return most
+        fastest_rad_s = max(fastest_rad_s, v)
+    return fastest_rad_s
 
 
 def failure_of(axis: Axis) -> MotorFailure:

@@ -39,8 +39,8 @@ PROFILE, PARAMETERS = int(ModelParts.PROFILE), int(ModelParts.PARAMETERS)
 
 
 @kernel
-def _clip(value: float, most: float) -> float:
-    return min(max(value, -most), most)
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)
 
 
 @kernel

@@ -336,15 +336,15 @@ class Model:
 
     def with_parts(self, *parts: Part) -> Model:
         """Return the model with these parts and no other."""
-        given: dict[str, Any] = dict.fromkeys(NAMES.values())
+        parts_by_name: dict[str, Any] = dict.fromkeys(NAMES.values())
         for part in parts:
             name = NAMES.get(type(part)) or PLANE_NAMES.get(type(part))
-            if name is None or given[name] is not None:
+            if name is None or parts_by_name[name] is not None:
                 reason = "is given twice" if name else "is no part of a model"
                 kinds = ", ".join(kind.__name__ for kind in (PLANE_NAMES if type(part) in PLANE_NAMES else NAMES))
                 raise WrongCall(f"{part!r} {reason}: expected at most one each of {kinds}")
-            given[name] = part
-        return replace(self, **given)
+            parts_by_name[name] = part
+        return replace(self, **parts_by_name)
 
 
 def _fill(record: Any, prefix: str, part: Part) -> None:
@@ -367,13 +367,13 @@ def _fill_profile(record: Any, part: TorqueProfile | PlaneProfile) -> None:
 def _slot(name: str, slots: Mapping[str, int]) -> int:
     if name in slots:
         return slots[name]
-    there = ", ".join(slots) or "none"
-    raise WrongCall(f"{name}: the law has no parameter of this name that a world may set; it has {there}")
+    parameters = ", ".join(slots) or "none"
+    raise WrongCall(f"{name}: the law has no parameter of this name that a world may set; it has {parameters}")
 
 
-def model_of(said: Any) -> Model | None:
+def model_of(returned: Any) -> Model | None:
     """Return what a world's function has returned as a model: a model, a part, several parts, or None."""
-    if said is None or isinstance(said, Model):
-        return said
-    parts = said if isinstance(said, (tuple, list)) else (said,)
+    if returned is None or isinstance(returned, Model):
+        return returned
+    parts = returned if isinstance(returned, (tuple, list)) else (returned,)
     return Model().with_parts(*parts)

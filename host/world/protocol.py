@@ -165,13 +165,13 @@ def read_refusal(record: bytes) -> Refusal:
     return Refusal(sequence, again, _text(reason))
 
 
-def records_in(data: bytearray, most: int) -> list[tuple[Kind, bytes]] | None:
-    """Remove the whole records from the beginning of `data`, at most `most`, and return them.
+def records_in(data: bytearray, max_count: int) -> list[tuple[Kind, bytes]] | None:
+    """Remove the whole records from the beginning of `data`, at most `max_count`, and return them.
 
     None: `data` does not begin with a record; the stream cannot be read any further.
     """
     records: list[tuple[Kind, bytes]] = []
-    while len(data) >= _HEAD.size and len(records) < most:
+    while len(data) >= _HEAD.size and len(records) < max_count:
         number, size, zero = _HEAD.unpack_from(data)
         kind = next((kind for kind in Kind if kind == number), None)
         if kind is None or size != SIZES[kind] or zero != 0:

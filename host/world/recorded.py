@@ -52,5 +52,7 @@ def models_of(rows: bytes, axes: int, *, arm: bool = False) -> dict[int, Any]:
     `arm`: the axes are the joints of an arm.
     """
     table = np.frombuffer(rows, ROW, len(rows) // ROW.itemsize)
-    kept = (row for row in table if row["number"] > 0 and why_not(row["model"], axes, LONGEST_LIFE_NS, arm=arm) is None)
-    return {key_of(int(row["number"]), int(row["model"]["axis"])): row for row in kept}
+    accepted = (
+        row for row in table if row["number"] > 0 and why_not(row["model"], axes, LONGEST_LIFE_NS, arm=arm) is None
+    )
+    return {key_of(int(row["number"]), int(row["model"]["axis"])): row for row in accepted}

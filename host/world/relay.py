@@ -206,10 +206,10 @@ def _no_constant(name: str) -> Any:
     raise MalformedMessage(f"{name} is no JSON number")
 
 
-def _check_keys(fields: Mapping[str, Any], known: set[str]) -> None:
-    unknown = sorted(fields.keys() - known)
+def _check_keys(fields: Mapping[str, Any], allowed: set[str]) -> None:
+    unknown = sorted(fields.keys() - allowed)
     if unknown:
-        raise MalformedMessage(f"{unknown[0]}: expected one of {', '.join(sorted(known))}")
+        raise MalformedMessage(f"{unknown[0]}: expected one of {', '.join(sorted(allowed))}")
 
 
 def _whole_records(message: bytes, expected: tuple[Kind, ...]) -> bytes:

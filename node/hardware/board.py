@@ -60,11 +60,11 @@ class Board:
     def __init__(self, place: str, folder: Path = Path()) -> None:
         where, _, name = place.rpartition(":")
         self.place = f"{folder / where}:{name}" if where.endswith(".py") else place
-        made = load_class(place, folder)
-        self.path = inspect.getfile(made)
+        board_class = load_class(place, folder)
+        self.path = inspect.getfile(board_class)
         """File of the class, which is claimed."""
         try:
-            self._object = made()
+            self._object = board_class()
         except Exception as error:
             raise HardwareError(f"{place}: it cannot be made: {error!r}") from error
         self._values: Mapping[str, object] = {}

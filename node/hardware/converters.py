@@ -49,8 +49,8 @@ def find(root: Path, device: str) -> Path:
         return folders[0]
     if folders:
         raise HardwareError(f"{root}: {len(folders)} devices are called {device!r}; give the path of one")
-    there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
-    raise HardwareError(f"{root}: there is no device {device!r}; there are: {there}")
+    listed = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
+    raise HardwareError(f"{root}: there is no device {device!r}; there are: {listed}")
 
 
 def iio(device: str, channel: str, *, scaled: bool) -> SysfsFile:
@@ -63,8 +63,8 @@ def iio(device: str, channel: str, *, scaled: bool) -> SysfsFile:
     folder = find(IIO, device)
     path = folder / f"{channel}_raw"
     if not path.exists():
-        there = sorted(file.name.removesuffix("_raw") for file in folder.glob("*_raw"))
-        raise HardwareError(f"{folder}: it has no channel {channel!r}; it has {', '.join(there) or 'none'}")
+        channels = sorted(file.name.removesuffix("_raw") for file in folder.glob("*_raw"))
+        raise HardwareError(f"{folder}: it has no channel {channel!r}; it has {', '.join(channels) or 'none'}")
     if not scaled:
         return SysfsFile(str(path))
     scale, offset = _of_channel(folder, channel, "scale", 1.0), _of_channel(folder, channel, "offset", 0.0)

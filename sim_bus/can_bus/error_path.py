@@ -187,9 +187,9 @@ def _send(bus: BusRecord, place: int, now_ns: int) -> None:
     row = bus.source & STATION_MASK
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
-        own = bus.on[k] == row
-        c.hears = 1 if c.state != CanState.BUS_OFF and (not own or c.loopback) else 0
-        if c.state != CanState.BUS_OFF and ((not own and not c.listen_only) or (own and c.loopback)):
+        is_sender = bus.on[k] == row
+        c.hears = 1 if c.state != CanState.BUS_OFF and (not is_sender or c.loopback) else 0
+        if c.state != CanState.BUS_OFF and ((not is_sender and not c.listen_only) or (is_sender and c.loopback)):
             acknowledged = True
     disturbed = (
         bus.struck.flips > 0 or bus.struck.wrong_crc != 0 or bus.stuck.from_ns < end_ns or bus.noise.next_ns < end_ns

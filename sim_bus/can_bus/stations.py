@@ -64,12 +64,12 @@ def detach(bus: BusRecord, station: int) -> None:
     c = bus.stations[row]
     if c.attached:
         c.attached = c.hears = 0
-        kept = 0
+        count = 0
         for k in range(bus.on_count):
             if bus.on[k] != row:
-                bus.on[kept] = bus.on[k]
-                kept += 1
-        bus.on_count = kept
+                bus.on[count] = bus.on[k]
+                count += 1
+        bus.on_count = count
     plan_alarm(bus, bus.play.begin_ns if _in_slow_motion(bus) else 0)
     refresh(bus)
 

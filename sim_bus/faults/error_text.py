@@ -61,7 +61,7 @@ def mistakes(
             if isinstance(part, int)
             or not (part in ("int", "str", "float") or part.startswith(WRAPPERS) or (n == 2 and part in by_kind))
         )
-        expected, given = "", ""
+        expected, input_text = "", ""
         if finding["type"] == "extra_forbidden":
             text = f"no such key here{nearest(str(names[-1]), _keys_beside(finding['loc'], schema, by_kind))}"
             text += "" if "mean" in text else "; remove it, or see docs/bus.md for the keys of this kind"
@@ -76,7 +76,7 @@ def mistakes(
         elif finding["type"] in WANTED or finding["type"] in OF_TYPES:
             description = WANTED.get(finding["type"], "a table").format(**finding.get("ctx", {}))
             text = expected = OF_KEYS.get(str(names[-1]), description) if finding["type"] in OF_TYPES else description
-            given = f", not {shown(finding['input'])}"
+            input_text = f", not {shown(finding['input'])}"
         else:
             text = finding["msg"].removeprefix("Value error, ")
             text += "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
@@ -85,11 +85,11 @@ def mistakes(
         if not expected:
             findings[key] = [text], ""
         else:  # a key with several types has an error for each
-            texts = findings.setdefault(key, ([], given))[0]
+            texts = findings.setdefault(key, ([], input_text))[0]
             texts += [] if expected in texts else [expected]
     return [
-        f"{where}: {'expected ' if given else ''}{' or '.join(texts)}{given}"
-        for (_, where), (texts, given) in sorted(findings.items(), key=lambda item: item[0])
+        f"{where}: {'expected ' if input_text else ''}{' or '.join(texts)}{input_text}"
+        for (_, where), (texts, input_text) in sorted(findings.items(), key=lambda item: item[0])
     ]
 
 

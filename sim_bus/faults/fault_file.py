@@ -73,27 +73,27 @@ class FaultPlan:
         FaultError
             an entry names an unknown bus, or none although the rig has several
         """
-        kept: dict[str, list[int]] = {"fault": [], "controller": []}
-        known = ", ".join(f'"{bus}"' for bus in channels if bus) or "one without a name; leave the key out"
+        selected: dict[str, list[int]] = {"fault": [], "controller": []}
+        bus_names = ", ".join(f'"{bus}"' for bus in channels if bus) or "one without a name; leave the key out"
         for section, entries in (("fault", self.file.fault), ("controller", self.file.controller)):
             for n, entry in enumerate(entries):
                 if entry.bus is None and len(channels) > 1:
-                    raise self.mistake((section, n), f"the rig has several buses; expected bus = one of {known}")
+                    raise self.mistake((section, n), f"the rig has several buses; expected bus = one of {bus_names}")
                 if entry.bus is not None and entry.bus not in channels:
-                    raise self.mistake((section, n, "bus"), f"there is no bus '{entry.bus}'; the rig has {known}")
+                    raise self.mistake((section, n, "bus"), f"there is no bus '{entry.bus}'; the rig has {bus_names}")
                 if entry.bus in (None, channel):
-                    kept[section].append(n)
+                    selected[section].append(n)
         return replace(
             self,
             file=self.file.model_copy(
                 update={
-                    "fault": [self.file.fault[n] for n in kept["fault"]],
-                    "controller": [self.file.controller[n] for n in kept["controller"]],
+                    "fault": [self.file.fault[n] for n in selected["fault"]],
+                    "controller": [self.file.controller[n] for n in selected["controller"]],
                 }
             ),
-            lines=tuple(self.lines[n] for n in kept["fault"]),
-            faults=tuple(kept["fault"]),
-            controllers=tuple(kept["controller"]),
+            lines=tuple(self.lines[n] for n in selected["fault"]),
+            faults=tuple(selected["fault"]),
+            controllers=tuple(selected["controller"]),
         )
 
     def on_one(self, channels: Sequence[str]) -> FaultPlan:

@@ -100,10 +100,10 @@ class Trigger(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _words(cls, given: Any) -> Any:
-        if not isinstance(given, str):
-            return given
-        match = _TRIGGER.fullmatch(given.strip())
+    def _words(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        match = _TRIGGER.fullmatch(value.strip())
         if match is None:
             raise ValueError('expected a text such as "3rd TPDO1 of node 2", "every 10th SYNC" or "1st 0x181"')
         nth, node = int(match["nth"] or 1), match["node"]

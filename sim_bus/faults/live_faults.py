@@ -174,7 +174,7 @@ class LiveFaults:
         for name, row in self._world.rows.items():
             if where == str(self._world.devices[row].node_id):
                 return name
-        known = ", ".join(f"{name} ({self._world.devices[row].node_id})" for name, row in self._world.rows.items())
+        nodes = ", ".join(f"{name} ({self._world.devices[row].node_id})" for name, row in self._world.rows.items())
         raise NodeUnknown(
-            f"there is no node '{where}' here{nearest(where, self._world.rows)}; it has {known or 'none'}"
+            f"there is no node '{where}' here{nearest(where, self._world.rows)}; it has {nodes or 'none'}"
         )

@@ -66,8 +66,8 @@ class _Nodes:
             return ALL
         row = self.node_ids.get(name) if isinstance(name, int) else self.stations.get(name)
         if row is None:
-            known = ", ".join([*self.stations, *map(str, self.node_ids)])
-            raise self.plan.mistake(key, f"there is no node {name!r} on this bus; it has {known}")
+            names = ", ".join([*self.stations, *map(str, self.node_ids)])
+            raise self.plan.mistake(key, f"there is no node {name!r} on this bus; it has {names}")
         return row
 
     def node_id(self, name: str | int, key: Key) -> int:
@@ -114,14 +114,16 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
     """Refuse duplicates in a file: two settings of a node's controller, or two drifts of a node's clock at
     one time.
     """
-    known: dict[int, int] = {}
-    for n, given in enumerate(plan.file.controller):
+    entries: dict[int, int] = {}
+    for n, controller in enumerate(plan.file.controller):
         key = ("controller", plan.controllers[n], "node")
-        station = nodes.station(given.node, key)
-        if station in known:
-            line = plan.document.line(("controller", plan.controllers[known[station]]))
-            raise plan.mistake(key, f"{given.node!r} has a [[controller]] in line {line} already; put all of it there")
-        known[station] = n
+        station = nodes.station(controller.node, key)
+        if station in entries:
+            line = plan.document.line(("controller", plan.controllers[entries[station]]))
+            raise plan.mistake(
+                key, f"{controller.node!r} has a [[controller]] in line {line} already; put all of it there"
+            )
+        entries[station] = n
     for n, fault in enumerate(plan.file.fault):
         for m, other in enumerate(plan.file.fault[:n]):
             if isinstance(fault, Drift) and isinstance(other, Drift):
@@ -194,19 +196,19 @@ def install(
     bus.fault_count = max(int(bus.fault_count), *(row + 1 for row in places), 0)
     if into is None:
         restart_usually(bus, stations)
-    for n, given in zip(plan.controllers, plan.file.controller, strict=True):
+    for n, controller in zip(plan.controllers, plan.file.controller, strict=True):
         place: Key = ("controller", n)
-        station = nodes.station(given.node, (*place, "node"))
-        if station == CLIENTS and given.listen_only:
+        station = nodes.station(controller.node, (*place, "node"))
+        if station == CLIENTS and controller.listen_only:
             raise plan.mistake(
                 (*place, "listen_only"), "here each client says itself whether it listens only; leave it out"
             )
         c, rows = bus.stations, _rows(station)
-        c["restart_ns"][rows] = MANUAL if given.restart_ms == "manual" else round(given.restart_ms * 1e6)
+        c["restart_ns"][rows] = MANUAL if controller.restart_ms == "manual" else round(controller.restart_ms * 1e6)
         for name in ("one_shot", "loopback", "queue_limit"):
-            c[name][rows] = getattr(given, name)
+            c[name][rows] = getattr(controller, name)
         if station != CLIENTS:
-            c["listen_only"][rows] = given.listen_only
+            c["listen_only"][rows] = controller.listen_only
     plan_alarm(bus, now_ns)
     refresh(bus)
     return later

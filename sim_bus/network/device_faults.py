@@ -53,10 +53,10 @@ def device_faults_of(world: VirtualNetwork, row: int) -> tuple[str, ...]:
     """Return the faults of `EFFECTS` that the device of a row can have."""
     name = next((name for name, other in world.rows.items() if other == row), "").rpartition(".")[2]
     kind = world.devices[row].profile.name
-    own = FAULTS.get(name) or FAULTS.get(_OF_KIND.get(kind, kind), ())
+    of_device = FAULTS.get(name) or FAULTS.get(_OF_KIND.get(kind, kind), ())
     blocks = ("blocked",) if name == "motor" or kind == "drive" else ()
     axis = int(world.axis_of[row]) if row < len(world.axis_of) else -1
-    return tuple(fault for fault in (*own, *blocks, *OF_EVERY_NODE) if axis >= 0 or fault not in OF_MECHANICS)
+    return tuple(fault for fault in (*of_device, *blocks, *OF_EVERY_NODE) if axis >= 0 or fault not in OF_MECHANICS)
 
 
 def inject(world: VirtualNetwork, row: int, fault: str, present: bool) -> None:
@@ -65,7 +65,7 @@ def inject(world: VirtualNetwork, row: int, fault: str, present: bool) -> None:
     The device detects it at once, or by its measurements.
     """
     device, record = world.devices[row], world.nodes[row]
-    own = int(own_ns(record, world.t_ns))
+    node_ns = int(own_ns(record, world.t_ns))
     if fault in COIL_STATES:
         plant, broken = world.plant[int(world.axis_of[row])], COIL_STATES[fault]
         if present:
@@ -81,14 +81,14 @@ def inject(world: VirtualNetwork, row: int, fault: str, present: bool) -> None:
         else:
             world.power_on(row)
     elif fault == "heartbeat_off":
-        device.communication.stop_heartbeat(own, present)
+        device.communication.stop_heartbeat(node_ns, present)
     elif fault == "pdo_length":
-        device.communication.pdos.shorten(own, int(present))
+        device.communication.pdos.shorten(node_ns, int(present))
     else:
         bit = 1 << DEVICE_FAULTS[fault] - FIRST_DEVICE_CAUSE
         record["in_faults"] = record["in_faults"] | bit if present else record["in_faults"] & ~bit
     if record["powered"]:
-        record["next_ns"] = own
+        record["next_ns"] = node_ns
 
 
 def renumber(world: VirtualNetwork, row: int, node_id: int) -> None:

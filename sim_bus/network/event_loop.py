@@ -232,11 +232,11 @@ def _keep(w: WorldRecord, out: Queue, first: int) -> None:
         to_bus(w, out, first)
     if w.keep_sent != 0:
         for k in range(first, out.count):
-            frame, kept = out.frames[k], w.sent[w.sent_count]
-            kept.t_ns = frame.t_ns
-            kept.can_id = frame.can_id
-            kept.length = frame.length
-            kept.word = frame.word
+            frame, sent = out.frames[k], w.sent[w.sent_count]
+            sent.t_ns = frame.t_ns
+            sent.can_id = frame.can_id
+            sent.length = frame.length
+            sent.word = frame.word
             w.sent_count += 1
 
 

@@ -111,26 +111,26 @@ def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[Entry,
             f"{path}: it has no entry; expected [[at]] with t_s, node and action, once for each thing that happens"
         )
     names = tuple(dict.fromkeys((*NODES, *nodes)))
-    return tuple(_entry(f"{path}: entry {n} of [[at]]", given, names) for n, given in enumerate(entries, 1))
+    return tuple(_entry(f"{path}: entry {n} of [[at]]", entry, names) for n, entry in enumerate(entries, 1))
 
 
-def _entry(where: str, given: Any, names: Sequence[str]) -> Entry:
-    if not isinstance(given, dict) or not REQUIRED <= set(given) <= REQUIRED | OPTIONAL:
-        raise ScriptError(f"{where}: {given}; expected the keys t_s, node, action, and perhaps after and fault")
-    t_s = given["t_s"]
+def _entry(where: str, entry: Any, names: Sequence[str]) -> Entry:
+    if not isinstance(entry, dict) or not REQUIRED <= set(entry) <= REQUIRED | OPTIONAL:
+        raise ScriptError(f"{where}: {entry}; expected the keys t_s, node, action, and perhaps after and fault")
+    t_s = entry["t_s"]
     if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s < 1e9:
         raise ScriptError(f"{where}: t_s = {t_s!r}; expected seconds, 0 or more")
     for key, allowed in (("node", names), ("action", ACTIONS), ("after", ORIGINS)):
-        if key in given and given[key] not in allowed:
-            raise ScriptError(f"{where}: {key} = {given[key]!r}; expected {_either(allowed)}")
-    node, action, fault = given["node"], given["action"], given.get("fault")
+        if key in entry and entry[key] not in allowed:
+            raise ScriptError(f"{where}: {key} = {entry[key]!r}; expected {_either(allowed)}")
+    node, action, fault = entry["node"], entry["action"], entry.get("fault")
     if fault is None and action == "fault":
         raise ScriptError(f"{where}: the key fault is missing; expected {_either(faults_of(node))}")
     if fault is not None and action not in ("fault", "clear"):
         raise ScriptError(f'{where}: fault = {fault!r}; expected with action = "fault" or "clear" only')
     if fault is not None and fault not in faults_of(node):
         raise ScriptError(f'{where}: fault = {fault!r}; expected for node = "{node}": {_either(faults_of(node))}')
-    return Entry(round(t_s * 1e9), node, action, given.get("after", "start"), fault)
+    return Entry(round(t_s * 1e9), node, action, entry.get("after", "start"), fault)
 
 
 def _either(allowed: Sequence[str]) -> str:

@@ -74,8 +74,8 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
         and world.exits[Exit.LOG] == 0
     )
     draws = [_drawn(*pair) for pair in zip(noise, parts.plant["random"].tolist(), strict=True)]
-    known = tuple(draw for draw in draws if draw is not None)
-    if not simple or len(known) < len(draws):
+    exact_draws = tuple(draw for draw in draws if draw is not None)
+    if not simple or len(exact_draws) < len(draws):
         return None
     return WorldState(
         t_ns=world.t_ns,
@@ -84,7 +84,7 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
         log=copied(parts.log[: int(w.log_count)]),
         host=copied(world.controllers.axes),
         seen=_seen(parts.plant),
-        draws=known,
+        draws=exact_draws,
         devices=tuple(device.state() for device in world.devices),
         exits=dict(world.exits),
     )
@@ -104,15 +104,15 @@ def adopt(world: VirtualRig, state: WorldState) -> bool:
     for name, array in zip(ARRAYS, state.arrays, strict=True):
         overwrite(getattr(parts, name), array)
     for name, record in zip(RECORDS, state.records, strict=True):
-        there = getattr(parts, name)
+        target = getattr(parts, name)
         for field in record.dtype.names:
-            there[field] = record[field]
+            target[field] = record[field]
     overwrite(parts.log[: len(state.log)], state.log)
     for a, plant in enumerate(plants):
         overwrite(parts.plant[a : a + 1], plant)
     overwrite(world.controllers.axes, state.host)
-    for device, kept in zip(world.devices, state.devices, strict=True):
-        device.adopt(kept)
+    for device, device_state in zip(world.devices, state.devices, strict=True):
+        device.adopt(device_state)
     world.exits.update(state.exits)
     return True
 

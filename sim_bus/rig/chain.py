@@ -284,17 +284,17 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
             continue
         u = d.u[i]
         brake = 0.0
-        own = d.react[i]
+        friction = d.react[i]
         if i == drum:
             # stuck: the device's own friction bears as much as it can, the brake the rest
             free = d.level[i] - d.dry[i]
-            own = min(max(own, -free), free)
-            brake = d.react[i] - own
+            friction = min(max(friction, -free), free)
+            brake = d.react[i] - friction
             viscous = d.wet * u
             p.f_brake = -brake - viscous
             p.w_brake -= (brake + viscous) * u * h
         if d.bristles != DRY and d.share[i] > 0.0:
-            own += d.held[i] + d.given[i] * u
+            friction += d.held[i] + d.given[i] * u
             # the work is only the loss: the bristles can return their stored energy
             if d.bristles == ELEMENTS:
                 w_friction += wind(d, i, h, u)
@@ -302,8 +302,8 @@ def _go(p: PlantRecord, h: float, hand: float, torque: float) -> None:
                 z = d.kept[i] * d.z[i] + d.taken[i] * u
                 w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
                 d.z[i] = z
-        f_friction -= own
-        w_friction -= own * u * h
+        f_friction -= friction
+        w_friction -= friction * u * h
         w_viscous += d.viscous[i] * u * u * h
         d.q[i] += u * h
         d.v[i] = 0.0 if d.side[i] == 0 else 2.0 * u - d.v[i]

@@ -144,14 +144,14 @@ def wind(d: DetailRecord, i: int, h: float, u: float) -> float:
         slips = 0.0
         if end == WINDS:
             end = force + stiffness * z
-            most = max(d.element_w[j] * d.bears[i], sense * force)
-            if sense * end > most:
-                end, slips = sense * most, sense
+            bound = max(d.element_w[j] * d.bears[i], sense * force)
+            if sense * end > bound:
+                end, slips = sense * bound, sense
         else:
             slips = -1.0 if way < 0.0 else 1.0
-        most = max(force * force + 2.0 * stiffness * (mean + rises * z) * z, 0.0)
-        if end * end > most:
-            end = math.copysign(math.sqrt(most), end)
+        bound = max(force * force + 2.0 * stiffness * (mean + rises * z) * z, 0.0)
+        if end * end > bound:
+            end = math.copysign(math.sqrt(bound), end)
         stored += (end * end - force * force) / (2.0 * stiffness)
         d.element_Nm[i, j], d.element_slips[i, j] = end, slips
     return stored

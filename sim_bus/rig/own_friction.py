@@ -61,35 +61,35 @@ def set_levels(p: PlantRecord, capacity: float) -> None:
         if i >= d.count:
             continue
         speed = abs(d.v[i])
-        own = level = 0.0
+        friction = level = 0.0
         if d.share[i] > 0.0:
-            at_speed = own = p.coulomb + d.load_share * abs(p.f_motor)
+            at_speed = friction = p.coulomb + d.load_share * abs(p.f_motor)
             if p.stribeck > 0.0 and speed == 0.0:
-                own += p.stribeck
+                friction += p.stribeck
             elif p.stribeck > 0.0:
                 part = speed / p.stribeck_v
                 part = part * part if d.exponent == 2.0 else part**d.exponent
                 if part < NOTHING:
-                    own += p.stribeck * math.exp(-part)
-            level = own
+                    friction += p.stribeck * math.exp(-part)
+            level = friction
             if d.angle_share > 0.0:
-                own *= 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
-            own = max(own * scale, 0.0) * d.share[i]
+                friction *= 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
+            friction = max(friction * scale, 0.0) * d.share[i]
         if i == d.drum:
-            p.inherent = own
+            p.inherent = friction
         d.dry[i] = capacity if i == d.drum else 0.0
         if d.bristles == ELEMENTS:
             if d.share[i] > 0.0:
-                at_rest = own * (at_speed + p.stribeck) / level
-                set_elements(d, i, max(own, LEAST_Nm), max(at_rest, LEAST_Nm))
-            own = 0.0
+                at_rest = friction * (at_speed + p.stribeck) / level
+                set_elements(d, i, max(friction, LEAST_Nm), max(at_rest, LEAST_Nm))
+            friction = 0.0
         elif d.bristles != DRY:
-            g = max(own, LEAST_Nm)
+            g = max(friction, LEAST_Nm)
             d.bears[i], d.rate_Nm_s[i] = g, d.share[i] * d.sigma_0 * speed
             damping = d.share[i] * d.sigma_1
             d.bristle_damping[i] = damping if damping * speed <= 4.0 * g else 4.0 * g / speed
-            own = 0.0
-        d.level[i] = own + d.dry[i]
+            friction = 0.0
+        d.level[i] = friction + d.dry[i]
 
 
 @kernel

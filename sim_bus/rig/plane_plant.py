@@ -212,13 +212,13 @@ def _keep(p: PlanePlantRecord, dt: float) -> None:
         w = 0.5 * (p.v[i] + p.v_end[i])
         way = w * dt
         standing = p.v[i] == 0.0 and p.v_end[i] == 0.0
-        own = (
+        friction = (
             min(max(p.load[i], -p.inherent[i]), p.inherent[i])
             if standing
             else (p.load[i] * p.inherent[i] / p.level[i] if p.level[i] > 0.0 else 0.0)
         )
-        p.friction_Nm[i] = -own
-        p.brake_Nm[i] = own - p.load[i]
+        p.friction_Nm[i] = -friction
+        p.brake_Nm[i] = friction - p.load[i]
         p.angle[i] += way
         p.work_hand[i] += p.hand_Nm[i] * way
         p.work_motor[i] += p.motor[i] * way

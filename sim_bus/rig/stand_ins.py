@@ -146,9 +146,9 @@ def _drive(axis: Axis, setpoint: Binding) -> Profile:
     """Return the drive with the rig file's mode and set-point."""
     part = axis.brake if setpoint.node == "brake" else axis.motor
     mode = mode_of(part, axis.description(setpoint.node))
-    own = _own_key(part, setpoint)
-    plain = own == _SETPOINT and mode in MODES and mode not in POSITION_MODES
-    drive = DRIVE402 if plain else with_own_mode(mode, own, _per_mille(axis, setpoint))
+    object_key = _own_key(part, setpoint)
+    plain = object_key == _SETPOINT and mode in MODES and mode not in POSITION_MODES
+    drive = DRIVE402 if plain else with_own_mode(mode, object_key, _per_mille(axis, setpoint))
     return on_axis(drive, drive_axis_of(part))
 
 
@@ -191,11 +191,15 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
         if by_itself and not binding.decided.startswith(_BY_ROLE) and binding.offset == 0.0:
             continue
         if kind is DRIVE402 and binding.node == "motor":
-            own = _own_key(axis.motor, binding)
-            if name == "position" and own == _POSITION and binding.decided.startswith(_BY_ENCODER):
+            object_key = _own_key(axis.motor, binding)
+            if name == "position" and object_key == _POSITION and binding.decided.startswith(_BY_ENCODER):
                 continue
             by_setpoint = setpoint is not None and _by_profile(setpoint) and binding.scale == setpoint.scale
-            if name == "torque" and own in _DRIVES_TORQUE and (by_setpoint or binding.decided.startswith(_BY_RATED)):
+            if (
+                name == "torque"
+                and object_key in _DRIVES_TORQUE
+                and (by_setpoint or binding.decided.startswith(_BY_RATED))
+            ):
                 continue
         yield binding
 
@@ -204,17 +208,17 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     """Write the coupling of an axis's devices to its records (`RigAxis`) and its plant; `rows`: row and device
     by name.
     """
-    p, own = axis.simulation.plant, _own_scale(axis)
-    if own.counts_rev is not None:
-        plant["counts_rad"] = p.encoder_polarity * own.counts_rev * p.ratio / (2 * math.pi)
-    plant["counts_rad"] *= own.sense.position
+    p, drive_scale = axis.simulation.plant, _own_scale(axis)
+    if drive_scale.counts_rev is not None:
+        plant["counts_rad"] = p.encoder_polarity * drive_scale.counts_rev * p.ratio / (2 * math.pi)
+    plant["counts_rad"] *= drive_scale.sense.position
     kinds = {node: of_description(axis.description(node)) for node in rows}
     kinds["motor"] = DRIVE402
     shown = [*_shown(axis, kinds)]
     for k, binding in enumerate(shown):
         row, device = rows[binding.node]
         low, high = _range(binding)
-        gain, offset = _truth(axis, p, binding, own)
+        gain, offset = _truth(axis, p, binding, drive_scale)
         record["shown"][k] = (
             row,
             device.dictionary.slot(*_key(binding)),
@@ -230,7 +234,7 @@ def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, t
     if setpoint is not None and _by_profile(setpoint) and setpoint.decided.startswith(_BY_ROLE):
         per_mille = abs(setpoint.scale) * p.ratio / axis.mechanics.ratio
         plant["motor_Nm_pm"] = p.motor_polarity * per_mille * p.motor_rated_torque_Nm / axis.motor.rated_torque_Nm
-    plant["motor_Nm_pm"] *= own.sense.torque
+    plant["motor_Nm_pm"] *= drive_scale.sense.torque
     brake = bound.get("brake_setpoint")
     if brake is not None:
         _couple_brake(axis, record, brake, *rows[brake.node])
@@ -264,7 +268,7 @@ def _range(binding: Binding) -> tuple[int, int]:
     return (-half, half - 1) if binding.entry.signed else (0, 2 * half - 1)
 
 
-def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[float, float]:
+def _truth(axis: Axis, p: Plant, binding: Binding, drive_scale: _OwnScale) -> tuple[float, float]:
     """Return (counts per unit, the quantity at the count 0) of an object that shows a quantity of the true
     plant.
     """
@@ -273,18 +277,20 @@ def _truth(axis: Axis, p: Plant, binding: Binding, own: _OwnScale) -> tuple[floa
     of_drive = binding.node == "motor"
     if name == "position":
         counts_rev = (
-            {_POSITION: own.counts_rev, _INCREMENTS: own.increments}.get(_own_key(motor, binding)) if of_drive else None
+            {_POSITION: drive_scale.counts_rev, _INCREMENTS: drive_scale.increments}.get(_own_key(motor, binding))
+            if of_drive
+            else None
         )
-        sense = p.encoder_polarity * (own.sense.position if of_drive else 1)
+        sense = p.encoder_polarity * (drive_scale.sense.position if of_drive else 1)
         if counts_rev is not None:
             return sense * counts_rev * p.ratio / (2 * math.pi), 0.0
         turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
         return sense * counts * turns, 0.0
     if name == "velocity":
-        if of_drive and _own_key(motor, binding) == _VELOCITY and own.rad_s is not None:
-            return p.encoder_polarity * own.sense.velocity * p.ratio / own.rad_s, 0.0
+        if of_drive and _own_key(motor, binding) == _VELOCITY and drive_scale.rad_s is not None:
+            return p.encoder_polarity * drive_scale.sense.velocity * p.ratio / drive_scale.rad_s, 0.0
         return p.encoder_polarity * counts * p.ratio / believed.ratio, 0.0
     if name == "torque":
         torque = motor.rated_torque_Nm * believed.ratio / (p.motor_rated_torque_Nm * p.ratio)
-        return p.motor_polarity * (own.sense.torque if of_drive else 1) * counts * torque, 0.0
+        return p.motor_polarity * (drive_scale.sense.torque if of_drive else 1) * counts * torque, 0.0
     return counts, binding.offset * (believed.transducer_polarity if name == "handle_torque" else 1)

@@ -19,13 +19,13 @@ FAR_rad = 0.1
 
 
 @kernel
-def wave(kept: WaveRecord, angle: float) -> float:
-    """Return the sine of `angle` [rad]; `kept` is a record of `WaveRecord`."""
-    small = angle - kept.at
-    if abs(small) > FAR_rad or kept.cosine == kept.sine:
-        kept.at, kept.sine, kept.cosine = angle, math.sin(angle), math.cos(angle)
-        return float(kept.sine)
+def wave(state: WaveRecord, angle: float) -> float:
+    """Return the sine of `angle` [rad]; `state` is a record of `WaveRecord`."""
+    small = angle - state.at
+    if abs(small) > FAR_rad or state.cosine == state.sine:
+        state.at, state.sine, state.cosine = angle, math.sin(angle), math.cos(angle)
+        return float(state.sine)
     square = small * small
     odd = small * (1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0))))
     even = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0)))
-    return float(kept.sine * even + kept.cosine * odd)
+    return float(state.sine * even + state.cosine * odd)

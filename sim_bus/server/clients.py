@@ -183,21 +183,21 @@ def hand_out(
                         p.slot = i
                         return Need.GONE
             elif s.state == SlotState.OPEN:
-                own = sender == STATION + i
+                is_sender = sender == STATION + i
                 word = f.word
                 if error:  # of the bus, with the counters of the client's own controller; or of its own state
-                    if not own and f.can_id & BUS_ERROR == 0:
+                    if not is_sender and f.can_id & BUS_ERROR == 0:
                         continue
                     word = with_counters(word, b.stations[STATION + i])
-                    if not own:
+                    if not is_sender:
                         word &= ~SENDING
-                elif (own and s.greeted & OWN == 0) or (
-                    not own and b.partial_row == row and not receives(b, STATION + i)
+                elif (is_sender and s.greeted & OWN == 0) or (
+                    not is_sender and b.partial_row == row and not receives(b, STATION + i)
                 ):
                     continue
                 if not _passes(s, filters[i], f.can_id):
                     continue
-                batches[i, 2 * s.out] = head | ECHO if own and not error else head
+                batches[i, 2 * s.out] = head | ECHO if is_sender and not error else head
                 batches[i, 2 * s.out + 1] = word
                 s.out += 1
                 if s.out == BATCH:

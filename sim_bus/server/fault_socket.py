@@ -112,13 +112,15 @@ class FaultSocket:
 
     def _do(self, request: Mapping[str, Any]) -> dict[str, Any]:
         faults, done = self._faults, []
-        if (order := request.get("inject")) is not None:
-            lasts_s = order.get("for_s")
-            values = {str(key): str(value) for key, value in order.get("values", {}).items()}
-            where = str(order["on"])
-            done.append(faults.inject(str(order["fault"]), where, None if lasts_s is None else float(lasts_s), values))
-        elif (order := request.get("clear")) is not None:
-            done += faults.clear(str(order.get("fault", "")), str(order.get("on", "")))
+        if (command := request.get("inject")) is not None:
+            lasts_s = command.get("for_s")
+            values = {str(key): str(value) for key, value in command.get("values", {}).items()}
+            where = str(command["on"])
+            done.append(
+                faults.inject(str(command["fault"]), where, None if lasts_s is None else float(lasts_s), values)
+            )
+        elif (command := request.get("clear")) is not None:
+            done += faults.clear(str(command.get("fault", "")), str(command.get("on", "")))
         return {"bus": str(self._address), "serves": not self._server.joined, "done": done, **faults.state()}
 
 
@@ -170,14 +172,14 @@ class BusFaults:
             there is no such fault or node, or it cannot act there now
         """
         answers = self._answers()
-        order = {"fault": fault, "on": where, "for_s": for_s, "values": dict(values or {})}
+        command = {"fault": fault, "on": where, "for_s": for_s, "values": dict(values or {})}
         owners = [path for path, answer in answers.items() if where in _names(answer)]
         serving = [path for path, answer in answers.items() if answer["serves"]]
         if where != BUS and not owners:
-            known = ", ".join(name for answer in answers.values() for name in _names(answer))
-            raise NodeUnknown(f"there is no node '{where}' on bus {self.address}; it has {known or 'none'}")
+            names = ", ".join(name for answer in answers.values() for name in _names(answer))
+            raise NodeUnknown(f"there is no node '{where}' on bus {self.address}; it has {names or 'none'}")
         path = (serving if where == BUS else owners)[0]
-        text: str = _ask(path, self.address, {"inject": order})["done"][0]
+        text: str = _ask(path, self.address, {"inject": command})["done"][0]
         return text
 
     def clear(self, fault: str = "", where: str = "") -> list[str]:

@@ -116,9 +116,9 @@ class LiveNodes:
         if self.io is not None:
             plan = read_io_file(self.io, self.descriptions[0], self.kinds[0])
             self.pump = Pump(plan, Guard, self._tell_hardware)
-        kept = Store if self.store is None else partial(FileStore, self.store)
+        make_store = Store if self.store is None else partial(FileStore, self.store)
         for device in self._devices(
-            VirtualNetwork(capacity=len(ids)), kept, tell=False
+            VirtualNetwork(capacity=len(ids)), make_store, tell=False
         ):  # refused before a bus is opened
             for text in device.unreadable:
                 say(f"coulombus: {text}; the PDO is not valid at start, everything else is served")
@@ -152,12 +152,12 @@ class LiveNodes:
     def _commission(self) -> None:
         """Determine node ids and bit rate: options take precedence over a DCF."""
         for (path, node_id), description in zip(self.eds, self.descriptions, strict=True):
-            chosen = node_id or description.node_id
-            if not chosen:
+            served_id = node_id or description.node_id
+            if not served_id:
                 raise NodeError(f"{path} has no node id ([DeviceComissioning] of a DCF has one); give --node-id")
-            self.node_ids.append(chosen)
-            if chosen != description.node_id and description.node_id:
-                remark = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
+            self.node_ids.append(served_id)
+            if served_id != description.node_id and description.node_id:
+                remark = f"is a DCF for the node id {description.node_id} and is served as {served_id}"
                 say(
                     f"coulombus: {path}: {remark}; which identifiers go with it tells `coulombus eds check {shell(str(path))}`"
                 )
@@ -186,15 +186,15 @@ class LiveNodes:
             self.add_to(network)
             return network
         devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
-        own = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
-        own |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
-        own = {can_id: row for can_id, row in own.items() if devices[row].node_id != UNCONFIGURED}
-        heard = set(own)
+        row_of = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
+        row_of |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
+        row_of = {can_id: row for can_id, row in row_of.items() if devices[row].node_id != UNCONFIGURED}
+        heard = set(row_of)
         if UNCONFIGURED in self.node_ids:  # such a node boots with any id from an LSS master
             heard |= {CobId.HEARTBEAT + node_id for node_id in range(1, 128)}
 
         def hear(frame: Heard) -> None:
-            row = own.get(frame.can_id, frame.source)
+            row = row_of.get(frame.can_id, frame.source)
             if row in range(len(devices)):
                 self._heard(devices[row], row, frame)
 
@@ -208,8 +208,8 @@ class LiveNodes:
     def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
         devices = []
         for node_id, description, profile in zip(self.node_ids, self.descriptions, self.kinds, strict=True):
-            kept = store()
-            devices.append(network.add(description, node_id, profile, store=kept))
+            node_store = store()
+            devices.append(network.add(description, node_id, profile, store=node_store))
             self._check_kind(devices[-1])
             if self._has_load(profile):
                 network.attach_load(len(network.devices) - 1, self.load.plant(devices[-1].dictionary))
@@ -217,10 +217,10 @@ class LiveNodes:
             if self.switches is not None:
                 devices[-1].record["switch_counts"] = self.switches
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
-            if isinstance(kept, FileStore) and kept.foreign:
-                raise NodeError(f"--store {kept.diagnosis}; choose another file; this one is not overwritten")
-            if tell and isinstance(kept, FileStore) and kept.diagnosis:
-                say(f"coulombus: {kept.diagnosis}")
+            if isinstance(node_store, FileStore) and node_store.foreign:
+                raise NodeError(f"--store {node_store.diagnosis}; choose another file; this one is not overwritten")
+            if tell and isinstance(node_store, FileStore) and node_store.diagnosis:
+                say(f"coulombus: {node_store.diagnosis}")
         return devices
 
     def begin(self, server: BusServer) -> None:

@@ -267,9 +267,9 @@ class Worker:
         self._wake = wake
         self._python = os.eventfd(0, os.EFD_CLOEXEC)
         names = ("state", "out", "nodes", "axes", "plant", "f_h") if on else ()
-        own = {name: _twin(getattr(python, name)) for name in names}
-        self.loop: World = python._replace(**own)
-        self._twins = [(getattr(python, name), own[name]) for name in names]
+        loop_arrays = {name: _twin(getattr(python, name)) for name in names}
+        self.loop: World = python._replace(**loop_arrays)
+        self._twins = [(getattr(python, name), loop_arrays[name]) for name in names]
         state = new_records(BesideRecord)[0]
         state["on"], state["python"], state["loop"] = on, self._python, wake
         nodes, axes = len(self.loop.nodes), len(self.loop.axes)

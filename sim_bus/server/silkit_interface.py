@@ -212,6 +212,6 @@ class SilKit:
 
     def make(self, name: str, *arguments: Any) -> ct.c_void_p:
         """Call ``SilKit_`` `name`, which writes a pointer to its first argument, and return the pointer."""
-        made = ct.c_void_p()
-        self.call(name, ct.byref(made), *arguments)
-        return made
+        pointer = ct.c_void_p()
+        self.call(name, ct.byref(pointer), *arguments)
+        return pointer

@@ -41,7 +41,7 @@ def run_sim(
     swallow an exception, and there is nothing to clean up yet. `tell_ready` is called before the
     nodes are switched on; by default it reports the bus.
     """
-    made: list[BusServer] = []
+    live_servers: list[BusServer] = []
     notifier = Notifier()
     over = threading.Event()
     failure: list[BaseException] = []
@@ -60,14 +60,14 @@ def run_sim(
             over.set()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        if not made:
+        if not live_servers:
             end_at_once(number, "before the bus was ready")
-        made[0].stop()
+        live_servers[0].stop()
 
     try:
         with taken(on_signal):
             server = make()
-            made.append(server)
+            live_servers.append(server)
             thread = threading.Thread(target=course, name="bus")
             thread.start()
             with fault_sockets(server):
@@ -76,7 +76,7 @@ def run_sim(
             thread.join()
     finally:
         notifier.tell(STOPPING=1)
-        for open_server in made:
+        for open_server in live_servers:
             open_server.close()
     if failure:
         raise failure[0]
