@@ -338,3 +338,36 @@ def test_a_result_has_the_runs_own_fields_too(monkeypatch, tmp_path):
         "seconds": 3,
     }
     assert run.safe_ns is None
+
+
+# the marker of a trip
+
+
+@pytest.mark.parametrize(
+    ("trip", "marked"), [(None, ["phase stroke", "safe"]), ("ESTOP", ["phase stroke", "phase end", "trip ESTOP"])]
+)
+def test_a_trip_ends_the_display_before_its_marker(trip, marked):
+    run = Virtual(BEGIN_NS, BEGIN_NS)
+    run.k.safe_ns, run.k.trip = BEGIN_NS, trip
+    run.mark_course(BEGIN_NS + TICK_NS)
+    assert [text for _, text in run.marked] == marked
+
+
+def test_a_trip_that_came_behind_the_safe_state_is_marked_once():
+    run = Virtual(BEGIN_NS, BEGIN_NS)
+    run.k.safe_ns = BEGIN_NS
+    run.mark_end()
+    run.t_ns += TICK_NS
+    run.mark_trip()  # there is none yet
+    run.k.trip = "EMCY_BRAKE"
+    run.mark_trip()
+    run.mark_trip()
+    assert run.marked == [(BEGIN_NS, "safe"), (BEGIN_NS + TICK_NS, "trip EMCY_BRAKE")]
+
+
+def test_a_trip_that_the_safe_state_has_is_not_marked_again():
+    run = Virtual(BEGIN_NS, BEGIN_NS)
+    run.k.safe_ns, run.k.trip = BEGIN_NS, "EMCY_BRAKE"
+    run.mark_end()
+    run.mark_trip()
+    assert run.marked == [(BEGIN_NS, "trip EMCY_BRAKE")]
