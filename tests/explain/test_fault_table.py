@@ -10,12 +10,23 @@ from benchmarks.explain_truths import explained
 from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.sim_bus.faults.fault_file import faults_of
-from coulombus.sim_bus.faults.fault_kinds import KINDS
+from coulombus.sim_bus.faults.fault_kinds import KINDS, NodeFault
 from coulombus.sim_bus.faults.live_faults import plan_of
+from coulombus.sim_bus.network.device_faults import EFFECTS
 from places import ROOT
 
 AT_S, WITHIN_S = 0.5, 2.0
-ROWS = re.findall(r"^\| `(\w+)` \| (\w+) \| `?([\w-]+)`? \| ([^|]*)\|$", (ROOT / "docs" / "bus.md").read_text(), re.M)
+PAGE = (ROOT / "docs" / "bus.md").read_text()
+ROWS = re.findall(r"^\| `(\w+)` \| (\w+) \| `?([\w-]+)`? \| ([^|]*)\|$", PAGE, re.M)
+
+
+def test_the_table_of_kinds_has_each_fault():
+    table = PAGE.partition("| kind | effect | keys |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\|([^|]*)\|", table, re.M)))) == set(KINDS)
+
+
+def test_each_fault_of_a_device_is_a_kind_for_a_fault_file():
+    assert {kind for kind, model in KINDS.items() if model is NodeFault} == set(EFFECTS)
 
 
 def test_the_table_has_each_fault_and_a_reason_where_none_is_named():

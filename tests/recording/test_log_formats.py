@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from coulombus.cli.main import main
 from coulombus.recording.log_files import LogError, is_log, read_log
 from coulombus.recording.logs.formats import FORMATS
-from coulombus.recording.logs.line_reader import LineReader
+from coulombus.recording.logs.line_reader import LineReader, recognise
 from coulombus.recording.logs.mf4 import ready
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
 from log_texts import NO_CHANNEL, TEXTS, candump, frames_of, sent_frames, slcan
+from places import ROOT
 
 ENDINGS = (".log", ".asc", ".trc", ".csv", ".txt", ".blf", ".mf4", ".db", ".log.1", "")
 
@@ -55,6 +56,15 @@ def test_the_example_of_a_format_is_a_frame_of_it(row):
     assert t_ns > 0
     assert can_id in (0x181, 0x123)
     assert length == len(data) >= 2
+
+
+def test_each_format_has_a_text_of_frames_and_a_row_of_the_page():
+    texts = {recognise(TEXTS[name][0](frames_of(name)).encode(), "").format.name for name in TEXTS}
+    assert texts == {row.name for row in FORMATS}
+    page = (ROOT / "docs/recording.md").read_text()
+    makers = {row.name.partition(" ")[0].removesuffix("'s") for row in FORMATS}
+    table = [line for line in page.splitlines() if line.startswith("|") and "| this project |" in line]
+    assert {maker for maker in makers if not any(maker in line.split("|")[1] for line in table)} == set()
 
 
 @pytest.mark.parametrize("name", TEXTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from coulombus.host.laws.laws import LawError
 from coulombus.host.laws.plane.limit_ellipse import gauge, slip_force
 from coulombus.host.laws.plane.plane_laws import PLANE_LAWS, load_plane_law
 from coulombus.rigs.errors import RigError
+from places import ROOT
 
 T = 1e-3
 RATE = np.arange(1501) * T
@@ -189,6 +191,11 @@ def test_every_law_names_its_source_and_its_levels():
     for name, law in PLANE_LAWS.items():
         assert "Source:" in law.function.__doc__ or "limit_ellipse" in law.function.__doc__, name
         assert set(law.extremes) <= set(law.names)
+
+
+def test_the_page_has_every_law():
+    table = (ROOT / "docs/plane.md").read_text().partition("| law | what it displays |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == set(PLANE_LAWS)
 
 
 USERS = """
