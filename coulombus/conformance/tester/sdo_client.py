@@ -240,11 +240,13 @@ class SdoClient:
         unused = answer[0] >> 2 & 7
         data = b"".join(segments)
         data = data[: len(data) - unused]
-        own = int.from_bytes(answer[1:3], "little")
-        if crc and own != crc16(data):
-            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {own:04X}h, expected {crc16(data):04X}h")
-        if not crc and own:
-            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {own:04X}h where none was agreed")
+        checksum = int.from_bytes(answer[1:3], "little")
+        if crc and checksum != crc16(data):
+            raise CaseFailed(
+                f"block upload of {where(index, subindex)}: CRC {checksum:04X}h, expected {crc16(data):04X}h"
+            )
+        if not crc and checksum:
+            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {checksum:04X}h where none was agreed")
         self.send(b"\xa1" + bytes(7))
         if said is not None and said != len(data):
             raise CaseFailed(f"block upload of {where(index, subindex)}: {said} bytes were said, {len(data)} came")
@@ -255,7 +257,7 @@ class SdoClient:
 
         Return its bytes and whether a CRC was agreed and correct.
         """
-        has_crc, said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
+        has_crc, size_said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
         self.send(b"\xa3" + bytes(7))
         segments: list[bytes] = []
         last = False
@@ -267,7 +269,7 @@ class SdoClient:
                 self.abort(index, subindex)
                 raise CaseFailed(f"block upload of {where(index, subindex)} has no end")
         agreed = crc and has_crc
-        return self.end_block_upload(index, subindex, segments, crc=agreed, said=said), agreed
+        return self.end_block_upload(index, subindex, segments, crc=agreed, said=size_said), agreed
 
     def initiate_block_download(
         self, index: int, subindex: int, size: int, *, crc: bool, optional: tuple[int, ...] = ()
