@@ -139,8 +139,8 @@ def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | Non
         )
         return rig, virtual_run(_run(job, rig, order)), None
     except Exception as error:  # must not end the other runs
-        known = isinstance(error, CoulombusError)
-        return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
+        is_refusal = isinstance(error, CoulombusError)
+        return rig, None, f"refused: {error}" if is_refusal else f"{type(error).__name__}: {error}"
 
 
 def _run(job: Job, rig: Rig, order: RunRequest, record: Path | None = None) -> Run:

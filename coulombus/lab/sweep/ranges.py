@@ -100,11 +100,11 @@ class Vary:
             return 1.0
         low, high = (min(self.values), max(self.values)) if self.values else (self.low, self.high)
         if self.logarithmic and self.own > 0:
-            value, own, low, high = map(math.log, (value, self.own, low, high))
+            value, rig_value, low, high = map(math.log, (value, self.own, low, high))
         else:
-            own = self.own
+            rig_value = self.own
         width = high - low
-        return float(abs(value - own) / width) if width > 0 else 1.0
+        return float(abs(value - rig_value) / width) if width > 0 else 1.0
 
     def override(self, value: Any) -> str:
         """Return the value as ``--set`` takes it."""

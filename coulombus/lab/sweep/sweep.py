@@ -89,13 +89,13 @@ def run_sweep(
         no cluster is reachable, or a worker has other versions
     """
     job = Job.of(sweep, keep)
-    with Folder.open(Path(folder), sweep, force=force) as kept:
-        left = kept.left
+    with Folder.open(Path(folder), sweep, force=force) as results:
+        left = results.left
         if left:
-            _carry_out(kept, job, left, processes or len(usable_cpus()), dask, progress)
-        if not kept.finished:
-            kept.finish()
-        return _summary(kept, job, progress)
+            _carry_out(results, job, left, processes or len(usable_cpus()), dask, progress)
+        if not results.finished:
+            results.finish()
+        return _summary(results, job, progress)
 
 
 def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: str | None, progress: Progress) -> None:
@@ -130,16 +130,16 @@ def _summary(kept: Folder, job: Job, progress: Progress) -> SweepResult:
     rates: dict[str, Rate] = {}
     maps: dict[str, Path] = {}
     for mode in sweep.modes:
-        own = [row for row in rows if row["mode"] == mode]
+        of_mode = [row for row in rows if row["mode"] == mode]
         for name in sweep.rates or ((FIGURE,) if sweep.vary else ()):
             label = name if len(sweep.modes) == 1 else f"{mode}.{name}"
             shown: Rate | str = name
             if name in sweep.rates:
-                rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in own), len(own))
-                failing = [order_of(sweep, row["run"]) for row in own if _fails(row, name)]
+                rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in of_mode), len(of_mode))
+                failing = [order_of(sweep, row["run"]) for row in of_mode if _fails(row, name)]
                 _find_worst(kept, job, name, label, failing, progress)
             if sweep.vary:
-                points = [_point(sweep, row, name) for row in own]
+                points = [_point(sweep, row, name) for row in of_mode]
                 maps[label] = kept.path / f"map-{label}.png"
                 kept.write(maps[label], map_of(sweep.vary, points, shown))
     times = kept.times
