@@ -74,8 +74,8 @@ class Source:
         if not self.axis:
             return key
         values = self.document.values
-        own = _depth(values, (*self.axis, *key)) - len(self.axis)
-        return (*self.axis, *key) if own == len(key) or own > _depth(values, key) else key
+        depth = _depth(values, (*self.axis, *key)) - len(self.axis)
+        return (*self.axis, *key) if depth == len(key) or depth > _depth(values, key) else key
 
     def spelled(self, key: Key) -> str:
         """Return `key` as the user wrote it, as a text."""
@@ -94,8 +94,8 @@ class Source:
             if key[:length] in self.overrides:  # of this key, or of all that holds it
                 return float("inf"), _option(self.overrides[key[:length]])
         if not any(place[: len(key)] == key for place in self.document.lines):
-            for given, text in self.overrides.items():
-                if given[: len(key)] == key:
+            for override, text in self.overrides.items():
+                if override[: len(key)] == key:
                     return float("inf"), _option(text)
         line = self.document.line(key)
         return line, f"{self.path}:{line}"
@@ -194,8 +194,8 @@ def number_hint(given: str, unit: str) -> str:
     match = _WITH_UNIT.fullmatch(text)
     if match is None:
         return ""
-    number, own = match[1], match[2].strip()
-    prefix = own if own in ("k", "M") else own.removesuffix(unit)
+    number, unit_of_text = match[1], match[2].strip()
+    prefix = unit_of_text if unit_of_text in ("k", "M") else unit_of_text.removesuffix(unit)
     if prefix in PREFIXES and (unit or prefix):
         return (
             f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}"

@@ -35,10 +35,10 @@ def named_rig(name: str) -> Path:
     RigError
         There is no such rig.
     """
-    known = known_rigs()
-    if name not in known:
-        expected = f"expected one of {', '.join(known)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
-        raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {expected}{_meant(Path(name), known)}"])
+    names = known_rigs()
+    if name not in names:
+        expected = f"expected one of {', '.join(names)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
+        raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {expected}{_meant(Path(name), names)}"])
     return packaged_rig(name)
 
 

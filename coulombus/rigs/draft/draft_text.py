@@ -99,11 +99,11 @@ class RigText:
             model = None if named else models[""]
             fields = {} if model is None else fields_of(model)
             nested = {part for part, entry in value.items() if named or _is_section(entry)}
-            own = {part: entry for part, entry in value.items() if part not in nested and entry is not None}
+            plain = {part: entry for part, entry in value.items() if part not in nested and entry is not None}
             about = info.description if info and len(key) == 1 else ""
             head = (*(_comment(f"{about[0].upper()}{about[1:]}.") if about else ()), *notes)
-            if own and model is not None:
-                yield from ("", *head, f"[{name}]", *self._keys(key, own, model))
+            if plain and model is not None:
+                yield from ("", *head, f"[{name}]", *self._keys(key, plain, model))
             elif head:
                 yield from ("", *head)
             for part, entry in value.items():
