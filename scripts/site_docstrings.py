@@ -30,8 +30,8 @@ class Described(Extension):
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Look at one docstring."""
         if obj.docstring is not None:
-            text = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), dollars(obj.docstring.value))
-            obj.docstring.value = RAISES.sub(lambda found: found[1] + SEVERAL.sub(_apart, found[2]), text)
+            text = SECTION.sub(lambda match: ENTRY.sub(r"\1\n    \2", match[0]), dollars(obj.docstring.value))
+            obj.docstring.value = RAISES.sub(lambda match: match[1] + SEVERAL.sub(_apart, match[2]), text)
 
 
 def _apart(found: re.Match[str]) -> str:

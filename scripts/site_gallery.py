@@ -54,10 +54,10 @@ def pictures(text: str, kept: Path = ROOT / "out" / FOLDER) -> dict[str, bytes]:
     folder = kept / digest(commands(text))
     names = [Path(name).name for name in DRAWN.findall(text)]
     if not all((folder / name).is_file() for name in names):
-        made = _drawn(text)
+        drawn = _drawn(text)
         rmtree(kept, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name, content in made.items():
+        for name, content in drawn.items():
             (folder / name).write_bytes(content)
     return {name: (folder / name).read_bytes() for name in names}
 
@@ -89,13 +89,13 @@ def _drawn(text: str) -> dict[str, bytes]:
             )
             if done.returncode != 0 and not (done.returncode == 1 and line.startswith("coulombus diff ")):
                 raise RuntimeError(f"{line}: exit status {done.returncode}: {done.stderr.strip()[-500:]}")
-        made: dict[str, bytes] = {}
+        contents: dict[str, bytes] = {}
         for name in DRAWN.findall(text):
             path = Path(folder) / name
             if not path.is_file():
                 raise RuntimeError(f"no command of {PAGE} draws {name}")
-            made[path.name] = path.read_bytes()
-        return made
+            contents[path.name] = path.read_bytes()
+        return contents
 
 
 def shown(text: str) -> str:

@@ -51,16 +51,18 @@ def mathml(latex: str, block: bool = False) -> str:
         The formula has an unknown command, or braces and ends without their beginnings.
     """
     try:
-        made = convert(latex, display="block" if block else "inline")
-        words = "".join(ET.fromstring(made).itertext())
+        markup = convert(latex, display="block" if block else "inline")
+        words = "".join(ET.fromstring(markup).itertext())
     except Exception as error:  # the converter has no base class of its errors
         raise ValueError(f"no formula: {latex!r}: {error or type(error).__name__}") from error
     if unread := re.search(r"\\\w*|[&$]", words):
         raise ValueError(f"no formula: {latex!r}: {unread[0]!r} is not understood")
-    made = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\2</mo>', made)  # else spaced as between two terms
-    made = FUNCTION.sub(r'<mo form="prefix" lspace="0.17em" rspace="0.17em">\1</mo>', made)
-    made = NAMED.sub(lambda m: f'<mo form="prefix" lspace="0.17em" rspace="{0 if m[2] else 0.17}em">{m[1]}</mo>', made)
-    return made.replace("<math ", f'<math alttext="{escape(" ".join(latex.split()), quote=True)}" ', 1)
+    markup = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\2</mo>', markup)  # else spaced as between two terms
+    markup = FUNCTION.sub(r'<mo form="prefix" lspace="0.17em" rspace="0.17em">\1</mo>', markup)
+    markup = NAMED.sub(
+        lambda m: f'<mo form="prefix" lspace="0.17em" rspace="{0 if m[2] else 0.17}em">{m[1]}</mo>', markup
+    )
+    return markup.replace("<math ", f'<math alttext="{escape(" ".join(latex.split()), quote=True)}" ', 1)
 
 
 def typeset(html: str) -> str:
@@ -84,8 +86,8 @@ def typeset(html: str) -> str:
 
 def raw_formula(html: str) -> str:
     """Return the first formula of a page that is not typeset; code is no formula. Empty: none."""
-    found = RAW.search(CODE.sub("", html))
-    return found[0] if found else ""
+    match = RAW.search(CODE.sub("", html))
+    return match[0] if match else ""
 
 
 def dollars(docstring: str) -> str:
@@ -95,9 +97,9 @@ def dollars(docstring: str) -> str:
         lines = [line.strip() for line in textwrap.dedent(found[2]).splitlines() if line.strip()]
         return "".join(f"{found[1]}{line}\n" for line in ("$$", *lines, "$$")).rstrip("\n")
 
-    return ROLE.sub(lambda found: f"${' '.join(found[1].split())}$", DIRECTIVE.sub(block, docstring))
+    return ROLE.sub(lambda match: f"${' '.join(match[1].split())}$", DIRECTIVE.sub(block, docstring))
 
 
 def formulas(text: str) -> list[str]:
     """Return the formulas of a page or docstring that have a line of their own."""
-    return [" ".join(found.split()) for found in BLOCK.findall(textwrap.dedent(dollars(text)))]
+    return [" ".join(formula.split()) for formula in BLOCK.findall(textwrap.dedent(dollars(text)))]
