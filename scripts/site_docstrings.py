@@ -34,7 +34,7 @@ class Described(Extension):
             obj.docstring.value = RAISES.sub(lambda match: match[1] + SEVERAL.sub(_apart, match[2]), text)
 
 
-def _apart(found: re.Match[str]) -> str:
+def _apart(match: re.Match[str]) -> str:
     """Return an entry for each of the exceptions that share one."""
-    names = [name.strip() for name in found[1].replace("\n", " ").split(",") if name.strip()]
-    return "\n".join(f"{name}\n{found[2].rstrip()}" for name in names) + "\n"
+    names = [name.strip() for name in match[1].replace("\n", " ").split(",") if name.strip()]
+    return "\n".join(f"{name}\n{match[2].rstrip()}" for name in names) + "\n"

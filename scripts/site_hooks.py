@@ -293,16 +293,16 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
     elif not written.exists():
         written = written.with_suffix(".ipynb")
 
-    def link(found: re.Match[str]) -> str:
-        target = _target(written, found[2])
+    def link(match: re.Match[str]) -> str:
+        target = _target(written, match[2])
         if target is None or not target.exists():  # MkDocs warns of a link to nowhere
-            return found[0]
+            return match[0]
         if target.is_dir():  # the site has none
-            return found[1].strip("[]")
+            return match[1].strip("[]")
         site_path = place_of(target)
         site_path = site_path.removesuffix(".ipynb") + ".md" if site_path.endswith(".ipynb") else site_path
-        hash_ = found[2].partition("#")[1] + found[2].partition("#")[2]
-        return f"{found[1]}({os.path.relpath(site_path, Path(place).parent)}{hash_})"
+        hash_ = match[2].partition("#")[1] + match[2].partition("#")[2]
+        return f"{match[1]}({os.path.relpath(site_path, Path(place).parent)}{hash_})"
 
     text = MERMAID.sub(lambda match: f"<div>{svg(match[1])}</div>\n", text)
     pieces = re.split(r"(^```.*?^```$|`[^`\n]+`)", text, flags=re.M | re.S)

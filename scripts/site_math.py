@@ -74,9 +74,9 @@ def typeset(html: str) -> str:
         A formula cannot be typeset.
     """
 
-    def formula(found: re.Match[str]) -> str:
-        latex = unescape(found["line"] if found["block"] is None else found["block"]).strip()
-        if found["block"] is None:
+    def formula(match: re.Match[str]) -> str:
+        latex = unescape(match["line"] if match["block"] is None else match["block"]).strip()
+        if match["block"] is None:
             return mathml(latex)
         number = "".join(f"<span>({escape(text)})</span>" for text in TAG.findall(latex))
         return f'<div class="formula">{mathml(TAG.sub("", latex), block=True)}{number}</div>'
@@ -93,9 +93,9 @@ def raw_formula(html: str) -> str:
 def dollars(docstring: str) -> str:
     """Return a docstring whose formulas stand between dollars instead of in Sphinx's roles."""
 
-    def block(found: re.Match[str]) -> str:
-        lines = [line.strip() for line in textwrap.dedent(found[2]).splitlines() if line.strip()]
-        return "".join(f"{found[1]}{line}\n" for line in ("$$", *lines, "$$")).rstrip("\n")
+    def block(match: re.Match[str]) -> str:
+        lines = [line.strip() for line in textwrap.dedent(match[2]).splitlines() if line.strip()]
+        return "".join(f"{match[1]}{line}\n" for line in ("$$", *lines, "$$")).rstrip("\n")
 
     return ROLE.sub(lambda match: f"${' '.join(match[1].split())}$", DIRECTIVE.sub(block, docstring))
 

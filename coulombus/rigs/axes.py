@@ -67,10 +67,10 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
     return merged
 
 
-def _merge(shared: Table, own: Table) -> dict[str, Any]:
-    """Return `shared` overridden by `own`; a list is replaced as a whole."""
+def _merge(shared: Table, part: Table) -> dict[str, Any]:
+    """Return `shared` overridden by `part`; a list is replaced as a whole."""
     merged = deepcopy(dict(shared))
-    for key, value in own.items():
+    for key, value in part.items():
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merge(merged[key], value) if both else deepcopy(value)
     return merged

@@ -321,7 +321,7 @@ def checked_entry(description: Description, index: int, subindex: int, direction
 # scales
 
 
-def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding]) -> Binding:
+def _scaled(parts: Parts, binding: Binding, role: Role, bindings: list[Binding]) -> Binding:
     """Return the binding with its scale at the handle, and the scale's source."""
     m, name = parts.mechanics, binding.kind.name
     turned = {
@@ -334,13 +334,13 @@ def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding])
     at_motor = {"torque_setpoint": m.ratio, "torque": m.ratio, "velocity": 1 / m.ratio}.get(name, 1.0)
     if not binding.kind.unit:
         return binding
-    if isinstance(said, BrakeRole) and said.table:
-        (raw_0, Nm_0), (raw_1, Nm_1) = said.table[-2:]
+    if isinstance(role, BrakeRole) and role.table:
+        (raw_0, Nm_0), (raw_1, Nm_1) = role.table[-2:]
         step = (Nm_1 - Nm_0) / (raw_1 - raw_0)
-        return _with(binding, step, 0.0, "role.brake_setpoint.table", said.table)
+        return _with(binding, step, 0.0, "role.brake_setpoint.table", role.table)
     key = f"scale_{binding.kind.unit.replace('/', '_')}"
-    scale = getattr(said, key, None)
-    offset = getattr(said, f"offset_{binding.kind.unit}", 0.0) * turned
+    scale = getattr(role, key, None)
+    offset = getattr(role, f"offset_{binding.kind.unit}", 0.0) * turned
     if scale is not None:
         return _with(binding, scale * at_motor * turned, offset, f"role.{name}.{key}")
     if name == "position":

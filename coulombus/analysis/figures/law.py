@@ -21,11 +21,11 @@ __all__ = ["draw_law", "draw_literature", "write_literature_figures"]
 PARAMETERS_IN_A_LINE = 4
 
 
-def titled(given: GivenLaw) -> str:
+def titled(law: GivenLaw) -> str:
     """Return a law's name and its parameters, wrapped for a plot."""
-    texts = given.parameter_texts
+    texts = law.parameter_texts
     lines = [texts[k : k + PARAMETERS_IN_A_LINE] for k in range(0, len(texts), PARAMETERS_IN_A_LINE)]
-    return "\n".join([f"law {given.name}", *(", ".join(line) for line in lines)])
+    return "\n".join([f"law {law.name}", *(", ".join(line) for line in lines)])
 
 
 def draw_law(given: GivenLaw, driven: Driven) -> Figure:

@@ -334,32 +334,32 @@ def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
         return [*save(fig, directory, "z-width")]
 
 
-def write_chatter(directory: Path, found: Chatter) -> list[Path]:
+def write_chatter(directory: Path, study: Chatter) -> list[Path]:
     """The quiet friction over the rate, for three encoders, and what each remedy buys."""
     from matplotlib.ticker import LogLocator
 
     with figure(10.5, 3.8, 1, 2) as (fig, axes):
         curves, remedies = axes
-        for curve, colour, dashes in zip(found.curves, (VERMILION, BLUE, GREY), DASHES, strict=False):
+        for curve, colour, dashes in zip(study.curves, (VERMILION, BLUE, GREY), DASHES, strict=False):
             shown = np.isfinite(curve.friction_Nm) & (curve.friction_Nm > 0)
             curves.loglog(curve.rate_Hz[shown], curve.friction_Nm[shown], color=colour, ls=dashes, label=curve.name)
-        if 0.0 < found.quiet.friction_Nm < np.inf:
-            curves.plot(found.loop.rate_Hz, found.quiet.friction_Nm, "o", color=BLACK, label="this device")
-        if found.brake_Nm:
-            curves.axhline(found.brake_Nm, color=BLACK, ls=":", label=f"a brake of {found.brake_Nm:g} Nm")
-        curves.set_xticks(found.curves[0].rate_Hz[::2])
+        if 0.0 < study.quiet.friction_Nm < np.inf:
+            curves.plot(study.loop.rate_Hz, study.quiet.friction_Nm, "o", color=BLACK, label="this device")
+        if study.brake_Nm:
+            curves.axhline(study.brake_Nm, color=BLACK, ls=":", label=f"a brake of {study.brake_Nm:g} Nm")
+        curves.set_xticks(study.curves[0].rate_Hz[::2])
         curves.minorticks_off()
         curves.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         for axis in (curves.xaxis, curves.yaxis):
             axis.set_major_formatter("{x:g}")
         curves.legend(loc="upper left", bbox_to_anchor=(0.0, 0.93))
         label(curves, "rate [Hz]", "friction [Nm]", "below: quiet by the motor alone; above: chatter")
-        rows = [("this device", found.quiet), *found.remedies.items()][::-1]
+        rows = [("this device", study.quiet), *study.remedies.items()][::-1]
         for what, height, colour, text in (
             ("friction_Nm", 0.2, VERMILION, "friction"),
             ("stiffness_Nm_rad", -0.2, BLUE, "stiffness of a wall"),
         ):
-            now = getattr(found.quiet, what)
+            now = getattr(study.quiet, what)
             gains = [getattr(quiet, what) / now if 0.0 < now < np.inf else np.nan for _, quiet in rows]
             remedies.barh([k + height for k in range(len(rows))], gains, 0.4, color=colour, label=text)
         remedies.set_yticks(range(len(rows)), [name for name, _ in rows])

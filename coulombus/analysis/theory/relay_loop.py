@@ -141,11 +141,11 @@ def _loop(linear: SampledPlant, p: Parameters) -> Loop:
     )
 
 
-def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, kept: int) -> SteadyMotion:
-    """Run the loop without an operator's force from the state `start` and return its last `kept`
+def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, count: int) -> SteadyMotion:
+    """Run the loop without an operator's force from the state `start` and return its last `count`
     samples.
     """
-    estimate, force = np.empty(kept), np.empty(kept)
+    estimate, force = np.empty(count), np.empty(count)
     y = start.copy()
     before = start[0] - start[1] * parameters.period_s
     relay_steps(_loop(linear, parameters), y, before, steps, Traces(_NONE, _NONE, estimate, force))

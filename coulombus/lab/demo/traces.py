@@ -128,7 +128,7 @@ def draw_detail(axes: Axes, data: Traces) -> None:
     axes.margins(x=0)
 
 
-def share_labels(made: Figure, axes: Any) -> None:
+def share_labels(fig: Figure, axes: Any) -> None:
     """Share the labels of the quantities between columns, with one legend below them."""
     for panel in axes[:, 1:].flat:
         panel.set_ylabel("")
@@ -141,7 +141,7 @@ def share_labels(made: Figure, axes: Any) -> None:
 
     artists["band: smallest to largest; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
     columns = len(artists) if axes.shape[1] > 2 else 2
-    made.legend(artists.values(), artists.keys(), loc="outside lower center", ncols=columns)
+    fig.legend(artists.values(), artists.keys(), loc="outside lower center", ncols=columns)
 
 
 def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:

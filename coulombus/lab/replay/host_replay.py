@@ -136,17 +136,17 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
     return result
 
 
-def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
+def _compare_laws(recording: Recording, rig: Rig) -> tuple[tuple[str, ...], bool]:
     """Return a remark on the law, and whether its source is the recorded one."""
-    now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
+    now, recorded = law_source(rig), recorded_sha256(recording.capture.attachments)
     name = recording.rig.law_function
     if now is None or recorded is None:
-        text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        builtin = chosen.law_function == name and name in builtin_laws(chosen)  # a built-in law needs no attachment
+        text = f"{recording.path}: whether {rig.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
+        builtin = rig.law_function == name and name in builtin_laws(rig)  # a built-in law needs no attachment
         return () if builtin else (text,), builtin
     if now.sha256 == recorded:
         return (), True
-    text = f"{recording.path}: the law is {chosen.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
+    text = f"{recording.path}: the law is {rig.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
     return (text,), False
 
 
@@ -238,16 +238,19 @@ def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bo
 class _Check:
     """Compares computed frames with the recording, per identifier in order."""
 
-    def __init__(self, recording: Recording, controllers: Controllers, known: _Known, *, keep: bool) -> None:
+    def __init__(self, recording: Recording, controllers: Controllers, host_data: _Known, *, keep: bool) -> None:
         self.recording, self.controllers, self.keep = recording, controllers, keep
         self.result = HostReplay(recording.path, controllers.mode)
         self.pdos = {pdo.layout.cob_id: pdo for pdo in recording.rig.pdos() if pdo.layout.direction == "rpdo"}
-        can_ids, columns = known.sent["can_id"], np.stack([known.sent[name] for name in ("t_ns", "length", "word")], 1)
+        can_ids, columns = (
+            host_data.sent["can_id"],
+            np.stack([host_data.sent[name] for name in ("t_ns", "length", "word")], 1),
+        )
         identifiers = {*controllers.own_identifiers, *np.unique(can_ids).tolist()}
         self.streams = {can_id: columns[can_ids == can_id] for can_id in sorted(identifiers)}
         self.at = dict.fromkeys(self.streams, 0)
-        self.last_ns = known.last_ns
-        self.result.unchecked = known.behind
+        self.last_ns = host_data.last_ns
+        self.result.unchecked = host_data.behind
         self.period_ns = int(controllers.control["period_ns"][0])
         self.refused: dict[int, int] = {}
         self.words: dict[int, list[tuple[int, int]]] = {can_id: [] for can_id in self.pdos}

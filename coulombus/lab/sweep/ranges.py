@@ -36,15 +36,15 @@ class Vary:
         """Whether the rig's value is an integer, so that a range has integers."""
         return isinstance(self.own, int) and not isinstance(self.own, bool)
 
-    def on(self, own: Any) -> Vary:
-        """Return the key for a rig with the value `own`: for an integer, a range of integers.
+    def on(self, rig_value: Any) -> Vary:
+        """Return the key for a rig with the value `rig_value`: for an integer, a range of integers.
 
         Raises
         ------
         ValueError
             the range contains no integer
         """
-        result = replace(self, own=own)
+        result = replace(self, own=rig_value)
         if not result.whole or self.values:
             return result
         low, high = math.ceil(self.low), math.floor(self.high)

@@ -225,10 +225,10 @@ def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
     return variations
 
 
-def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
-    model: type[_Choice] | type[_Range] = _Range if {"low", "high"} & given.keys() else _Choice
+def _leaf(place: Key, key: str, table: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
+    model: type[_Choice] | type[_Range] = _Range if {"low", "high"} & table.keys() else _Choice
     try:
-        tried = model.model_validate(given)
+        tried = model.model_validate(table)
     except ValidationError as error:
         mistakes.explain(error, place, model)
         return None

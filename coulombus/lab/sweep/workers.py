@@ -50,11 +50,11 @@ class _Worker:
         with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
-    def take(self, order: RunRequest) -> None:
+    def take(self, request: RunRequest) -> None:
         """Send it a run."""
-        self.orders.append(order)
+        self.orders.append(request)
         with suppress(OSError):
-            self.line.send(order)
+            self.line.send(request)
 
     def end(self) -> str:
         """Kill it; return its exit status if it had ended by itself."""

@@ -153,15 +153,15 @@ def _parts(values: Mapping[str, Any]) -> list[tuple[Key, Mapping[str, Any]]]:
     return [((), values), *((("axis", name), table) for name, table in values.get("axis", {}).items())]
 
 
-def _descriptions_of(own: Mapping[str, Any], path: Path) -> dict[str, str]:
+def _descriptions_of(table: Mapping[str, Any], path: Path) -> dict[str, str]:
     """Return the texts of the EDS files that a rig file at `path` would find, by their names."""
     try:
-        descriptions = read_descriptions(own, Source(str(path), Document()), None)
+        descriptions = read_descriptions(table, Source(str(path), Document()), None)
     except (EdsError, OSError):
         return {}
     names = {}
-    for key in device_keys(own):
-        section: Any = own
+    for key in device_keys(table):
+        section: Any = table
         for part in key:
             section = section.get(part, {})
         if str(key[-1]) in descriptions and "eds" in section:

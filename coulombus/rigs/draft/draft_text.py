@@ -110,9 +110,9 @@ class RigText:
                 if part in nested:
                     yield from self._section((*key, part), entry, info_of(named) if named else fields[part])
 
-    def _keys(self, key: Key, own: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
+    def _keys(self, key: Key, entries: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
         fields = fields_of(model)
-        for name, value in sorted(own.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
+        for name, value in sorted(entries.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
             for text in self.notes.get((*key, name), ()):
                 yield from _comment(text)
             plain = value.tolist() if isinstance(value, np.ndarray) else value  # a phase's columns

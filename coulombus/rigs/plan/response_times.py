@@ -201,12 +201,12 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
 
 
 def _response(
-    rank: int, order: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
+    rank: int, by_priority: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
 ) -> Response:
-    """Return the response of `order[rank]`; all jitters are set; `frames` are the durations."""
+    """Return the response of `by_priority[rank]`; all jitters are set; `frames` are the durations."""
     tau = bit_ns(1, bitrate_bit_s)
-    m, duration = order[rank], frames[rank]
-    higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(order[:rank], frames, strict=False)]
+    m, duration = by_priority[rank], frames[rank]
+    higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(by_priority[:rank], frames, strict=False)]
     periods, jitters, durations = np.array(higher, np.int64).reshape(-1, 3).T
 
     def interference(window_ns: int) -> int:
