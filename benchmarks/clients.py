@@ -110,8 +110,8 @@ def reader(code: str) -> tuple[float, int, int]:
         ready(client)
         cost, sent = heard(client)
         client.terminate()
-        told = json.loads(client.communicate()[0].splitlines()[-1])
-    return cost, sent - told["frames"], told["lost"]
+        report = json.loads(client.communicate()[0].splitlines()[-1])
+    return cost, sent - report["frames"], report["lost"]
 
 
 def watch() -> tuple[float, int, int]:
@@ -123,8 +123,8 @@ def watch() -> tuple[float, int, int]:
         cost, sent = heard(client)
         client.terminate()
         lines = client.communicate()[0].splitlines()
-    told = json.loads(lines[-1])
-    return cost, sent - sum(one["frames"] for one in told["pdos"].values()), told["lost"]
+    report = json.loads(lines[-1])
+    return cost, sent - sum(one["frames"] for one in report["pdos"].values()), report["lost"]
 
 
 def record() -> tuple[float, int, int]:

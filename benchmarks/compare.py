@@ -62,26 +62,26 @@ def _spread(line: dict[str, Any]) -> float | None:
 def changes(a: Path, b: Path) -> list[Change]:
     """Return the figures with a goal that A and B have in common."""
     before, after = _lines(a), _lines(b)
-    found = []
+    shared = []
     for key in before.keys() & after.keys():
         one, other = before[key], after[key]
         if one["more_is_better"] is None or not one["value"] or other["value"] is None:
             continue
         spreads = _spread(one), _spread(other)
         middle = _median(one)
-        known = [spread for spread in spreads if spread is not None]
-        noise = max(LEAST, sum(known) / middle) if len(known) == 2 else ONE_ROUND
-        found.append(Change(": ".join(key), middle, _median(other), noise, one["more_is_better"]))
-    return sorted(found, key=lambda change: change.gain)
+        noises = [spread for spread in spreads if spread is not None]
+        noise = max(LEAST, sum(noises) / middle) if len(noises) == 2 else ONE_ROUND
+        shared.append(Change(": ".join(key), middle, _median(other), noise, one["more_is_better"]))
+    return sorted(shared, key=lambda change: change.gain)
 
 
 def compare(a: Path, b: Path) -> int:
     """Print the changes, the worst first; return 1 if a figure became slower, else 0."""
-    found = changes(a, b)
-    for change in found:
+    all_changes = changes(a, b)
+    for change in all_changes:
         end = change.verdict or "within the noise"
         figures = f"{change.before:>10.4g} {change.after:>10.4g} {change.gain:>+7.1%} +-{change.noise:.1%}"
         print(f"{change.what:<100} {figures}   {end}")
-    slower = sum(change.verdict == "slower" for change in found)
-    print(f"{slower} of {len(found)} figures became slower beyond the noise")
+    slower = sum(change.verdict == "slower" for change in all_changes)
+    print(f"{slower} of {len(all_changes)} figures became slower beyond the noise")
     return int(slower > 0)

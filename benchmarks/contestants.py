@@ -174,8 +174,8 @@ class Bus:
         """End it and return its figures."""
         self.process.terminate()
         out = self.process.communicate(timeout=30)[0]
-        found: dict[str, Any] = json.loads(out.strip().splitlines()[-1])
-        return found
+        figures: dict[str, Any] = json.loads(out.strip().splitlines()[-1])
+        return figures
 
 
 def bring_up_patiently(rig: Rig, control: RealControlPlane) -> None:
@@ -296,15 +296,15 @@ def classic(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
 
 
 def _told(line: str) -> Run:
-    found = json.loads(line)
+    figures = json.loads(line)
     return Run(
-        dense(found["wakeup"]),
-        dense(found["latency"]),
-        found["cycles"],
-        found["missed"],
-        found["late"],
-        found["incomplete"],
-        cpu_us=found["cpu_us"],
+        dense(figures["wakeup"]),
+        dense(figures["latency"]),
+        figures["cycles"],
+        figures["missed"],
+        figures["late"],
+        figures["incomplete"],
+        cpu_us=figures["cpu_us"],
     )
 
 
@@ -384,8 +384,8 @@ def delivery(
             text=True,
             pass_fds=(tx.fileno(), rx.fileno()),
         )
-    found = json.loads(out.stdout)
-    return dense(found["delivery"]), dense(found["destroyed"])
+    figures = json.loads(out.stdout)
+    return dense(figures["delivery"]), dense(figures["destroyed"])
 
 
 def _throughput(program: Path, bus_ends: Sequence[int], rounds: int) -> float:
@@ -397,8 +397,8 @@ def _throughput(program: Path, bus_ends: Sequence[int], rounds: int) -> float:
         text=True,
         pass_fds=tuple(bus_ends),
     )
-    found = json.loads(out.stdout)
-    return float(found["frames"] / found["seconds"])
+    figures = json.loads(out.stdout)
+    return float(figures["frames"] / figures["seconds"])
 
 
 CROWD, CROWD_FRAMES = 8, 16

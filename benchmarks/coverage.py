@@ -202,8 +202,8 @@ def commissioned(drawn: RandomRig, folder: Path, steps: Sequence[str] = MEASURED
     path = folder / f"rig{drawn.seed}.toml"
     path.write_text(packaged_rig("bench").read_text())
     truth = load_rig("bench", drawn.truth)
-    given = Given(weight_Nm=WEIGHT_NM, marks_rad=MARKS_RAD)
-    session = Session(path, _runner(drawn, truth), given, lambda: "2026-11-22T14:03:05Z", drawn.believed)
+    measured = Given(weight_Nm=WEIGHT_NM, marks_rad=MARKS_RAD)
+    session = Session(path, _runner(drawn, truth), measured, lambda: "2026-11-22T14:03:05Z", drawn.believed)
     by_name = {step.name: step for step in STEPS}
     findings: list[Finding] = []
     failures: list[str] = []

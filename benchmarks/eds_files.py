@@ -47,8 +47,8 @@ def eds_files(show: Callable[..., None]) -> None:
     text = large_file(SECTIONS)
 
     def ours(k: int) -> None:
-        found = parse_eds(text.encode(), f"large-{k}.eds")  # another name: the same file is read once
-        assert not found.diagnoses
+        description = parse_eds(text.encode(), f"large-{k}.eds")  # another name: the same file is read once
+        assert not description.diagnoses
 
     def theirs(k: int) -> None:
         import_eds(io.StringIO(text), 1)

@@ -105,11 +105,11 @@ def run() -> None:
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--frames", type=int, default=2_000_000)
-    given = parser.parse_args()
-    if given.what == "speed":
-        speed(given.frames)
+    arguments = parser.parse_args()
+    if arguments.what == "speed":
+        speed(arguments.frames)
         return
-    score = truths(given.runs, given.first)
+    score = truths(arguments.runs, arguments.first)
     shares = (score.cause / score.runs, score.node / score.runs, score.state / score.runs, score.culprit / score.runs)
     missed = (
         shares[0] < CAUSE

@@ -43,8 +43,8 @@ class Machine:
     def __post_init__(self) -> None:
         dice = self.dice
         self.period_ns = dice.choice((1, 2, 3, 4, 5, 10, 20)) * MS
-        most = {1: 2, 2: 4, 3: 6}.get(self.period_ns // MS, 8)  # the drive sends a second TPDO, too
-        self.ids = sorted(dice.sample(range(1, 60), dice.randint(1, most)))
+        largest = {1: 2, 2: 4, 3: 6}.get(self.period_ns // MS, 8)  # the drive sends a second TPDO, too
+        self.ids = sorted(dice.sample(range(1, 60), dice.randint(1, largest)))
         self.jitter_ns = dice.choice((0, 20_000, 80_000))
         self.maps_by_sdo = dice.random() < 0.7
         self.kind = dice.choices(DEVICES, (6, 1, 2, 2))[0]

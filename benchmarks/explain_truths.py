@@ -68,8 +68,8 @@ class Outcome:
             alike = [incident for incident in free if incident.root.kind in truth.kinds]
             if not alike:
                 return NOTHING
-            there = [incident for incident in alike if incident.node == truth.node]
-            pairs.append((truth, (there or alike)[0]))
+            of_node = [incident for incident in alike if incident.node == truth.node]
+            pairs.append((truth, (of_node or alike)[0]))
         if all(incident is not self.told.incidents[0] for _, incident in pairs):
             return NOTHING
         return (
@@ -118,10 +118,10 @@ class Score:
         yield "| done to the machine | runs | told first |"
         yield "|---|---|---|"
         for name in dict.fromkeys(names):
-            row = {told: count for (done, told), count in self.matrix.items() if done == name}
+            row = {kind: count for (done, kind), count in self.matrix.items() if done == name}
             if row:
-                told = ", ".join(f"`{kind}` {count}" for kind, count in sorted(row.items(), key=lambda item: -item[1]))
-                yield f"| `{name}` | {sum(row.values())} | {told} |"
+                kinds = ", ".join(f"`{kind}` {count}" for kind, count in sorted(row.items(), key=lambda item: -item[1]))
+                yield f"| `{name}` | {sum(row.values())} | {kinds} |"
 
 
 def explained(frames: Records, rig: Rig | None = None, files: EdsFiles | None = None) -> Explanation:

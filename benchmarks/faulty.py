@@ -64,7 +64,7 @@ def faulty(seconds: float, rounds: int) -> None:
         file.write_text(FAULTS)
         extra_ns = disturbance_ns(file)
         with Bus(faults=file) as noisy, Bus() as quiet:
-            found = take_turns(
+            runs = take_turns(
                 {
                     "noisy": lambda: c.delivery(program, noisy, seconds, every=EVERY, extra_ns=extra_ns),
                     "quiet": lambda: c.delivery(program, quiet, seconds)[0],
@@ -72,11 +72,11 @@ def faulty(seconds: float, rounds: int) -> None:
                 },
                 rounds,
             )
-    p99 = [quantile(every, 0.99) for every, _ in found["noisy"]]
-    show(what, ratio(p99, found["reference"]), "at most 2 x")
-    show("... the same without faults", ratio([quantile(one, 0.99) for one in found["quiet"]], found["reference"]))
-    destroyed = sum(hit for _, hit in found["noisy"])
-    every = sum(one for one, _ in found["noisy"])
+    p99 = [quantile(every, 0.99) for every, _ in runs["noisy"]]
+    show(what, ratio(p99, runs["reference"]), "at most 2 x")
+    show("... the same without faults", ratio([quantile(one, 0.99) for one in runs["quiet"]], runs["reference"]))
+    destroyed = sum(hit for _, hit in runs["noisy"])
+    every = sum(one for one, _ in runs["noisy"])
     text = f"{quantile(destroyed, 0.5) / quantile(every, 0.5):.2f} x"
     counts = f"{int(destroyed.sum())} of {int(every.sum())} frames, {extra_ns / 1000:g} us each"
     show("... median of the frames that were destroyed once, against that of all", text, counts)

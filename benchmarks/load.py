@@ -27,10 +27,10 @@ class Cell:
 
 
 def pairs(count: int) -> list[Cell]:
-    made = [Cell() for _ in range(count)]
+    cells = [Cell() for _ in range(count)]
     for i in range(0, count, 2):
-        made[i].other, made[i + 1].other = made[i + 1], made[i]
-    return made
+        cells[i].other, cells[i + 1].other = cells[i + 1], cells[i]
+    return cells
 
 
 def busy() -> None:

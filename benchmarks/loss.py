@@ -74,13 +74,13 @@ class Account:
 
     def take(self, rows: Any) -> None:
         """Take a batch of the recording, up to the same instant."""
-        told = [row[:4] for row in rows.tolist()]
-        good = [row for row in told if not row[1] & CAN_ERR_FLAG]
+        recorded = [row[:4] for row in rows.tolist()]
+        good = [row for row in recorded if not row[1] & CAN_ERR_FLAG]
         self.differ += sum(a != b for a, b in zip(good, self.heard, strict=False)) + abs(len(good) - len(self.heard))
         self.heard.clear()
         self.frames += len(good)
         self.carried.update(row[1] for row in good)
-        for t_ns, can_id, _, word in told:
+        for t_ns, can_id, _, word in recorded:
             kind, place = word >> 16 & 0xFF, word >> 24 & 0xFF
             last_t, last_id, last_kind = self._last
             if not can_id & CAN_ERR_FLAG:
@@ -100,16 +100,16 @@ def account(
     """Run the bench on a noisy bus and account for its frames; `progress` is called with the
     display's time in s.
     """
-    found, worlds = Account(), []
+    ledger, worlds = Account(), []
 
     def watch(world: VirtualRig) -> None:
         worlds.append(world)
-        world.station(None, found.hear)
+        world.station(None, ledger.hear)
         assert world.injection is not None
         mark = world.injection._on_fault
 
         def strike(t_ns: int, text: str) -> None:
-            found.strike(t_ns, text)
+            ledger.strike(t_ns, text)
             if mark is not None:
                 mark(t_ns, text)
 
@@ -117,7 +117,7 @@ def account(
         write: Callable[[Any], None] | None = world.on_frames
 
         def take(rows: Any) -> None:
-            found.take(rows)
+            ledger.take(rows)
             if write is not None:
                 write(rows)
 
@@ -126,7 +126,7 @@ def account(
     faults = directory / "noise.toml"
     faults.write_text(NOISE, encoding="utf-8")
     result = simulate("bench", "hybrid", seconds, faults=faults, script=watch, record=record, progress=progress)
-    return found, result, worlds[0]
+    return ledger, result, worlds[0]
 
 
 def loss(show: Callable[..., None], minutes: float) -> None:
@@ -134,17 +134,17 @@ def loss(show: Callable[..., None], minutes: float) -> None:
     begin = time.perf_counter()
     seconds = 60.0 * minutes
     with tempfile.TemporaryDirectory() as directory, progress(enabled=True) as report:
-        found, result, world = account(seconds, Path(directory), progress=lambda t_s: report("loss", t_s, seconds))
+        ledger, result, world = account(seconds, Path(directory), progress=lambda t_s: report("loss", t_s, seconds))
     spent = time.perf_counter() - begin
     cycles = int(world.controllers.host["cycle"][0])
     sent_again = int(world.bus["retransmissions"].sum())
-    show(f"frames of {minutes:g} min on a noisy bus; frames destroyed", f"{found.frames:,}; {sent_again:,}")
-    show("frames that recording and witness have otherwise", f"{found.differ}", "0")
+    show(f"frames of {minutes:g} min on a noisy bus; frames destroyed", f"{ledger.frames:,}; {sent_again:,}")
+    show("frames that recording and witness have otherwise", f"{ledger.differ}", "0")
     show(
         "error frames without a cause: not sent again, no overload, no false start",
-        f"{found.errors - sent_again - found.overloads - found.false_starts}",
+        f"{ledger.errors - sent_again - ledger.overloads - ledger.false_starts}",
         "0",
     )
-    missing = sum(abs(found.carried[can_id] - count) for can_id, count in found.expected(cycles).items())
+    missing = sum(abs(ledger.carried[can_id] - count) for can_id, count in ledger.expected(cycles).items())
     show("cyclic frames too few or too many, besides those disturbed in the last bit", f"{missing}", "0")
     show("trip; simulated to real time, witness in Python included", f"{result.trip}; {seconds / spent:.0f} x")

@@ -88,9 +88,9 @@ def displayed(method: str, subject: int) -> Chain:
     folder = Path(tempfile.mkdtemp(prefix="observer-"))
     try:
         file = study_file(folder, "displays", 1.2, SEED + subject, METHODS[method])
-        with SubjectFolder(read_study(file), folder / "kept", SUBJECT, {"bus": "virtual time"}) as kept:
-            observer = Observer(jnd, SEED + subject, kept.number, partial(felt_of, kept), faults)
-            session = SubjectSession(kept, HandDisplays(subject))
+        with SubjectFolder(read_study(file), folder / "kept", SUBJECT, {"bus": "virtual time"}) as subject_folder:
+            observer = Observer(jnd, SEED + subject, subject_folder.number, partial(felt_of, subject_folder), faults)
+            session = SubjectSession(subject_folder, HandDisplays(subject))
             shown = run_session(session, People.simulated(observer.answer))
             if not shown.complete:
                 raise RuntimeError(f"{method}, observer {subject}: {shown.ended_by}")
@@ -134,8 +134,8 @@ def observer_displays(show: Show, count: int, document: Path | None = None, proc
     rows.append(_row("all methods", all_results))
     _show_row(show, rows[-1])
     if document is not None:
-        said = f"{count} observers of each method, seed {SEED}:"
-        write_table(document, "displays", said, [HEAD, *rows])
+        caption = f"{count} observers of each method, seed {SEED}:"
+        write_table(document, "displays", caption, [HEAD, *rows])
 
 
 def _show_row(show: Show, row: Sequence[str]) -> None:

@@ -35,8 +35,8 @@ def pooled(method: str, case: str, subject: int) -> tuple[float, Posterior]:
 
 def group_fit(pool: Sequence[tuple[float, Posterior]], number: int) -> GroupFit:
     """Return the hierarchical fit of group `number` out of a pool of observers."""
-    chosen = np.random.default_rng([SEED, 3, number]).choice(len(pool), SIZE, replace=False)
-    fit = hierarchical({str(k): pool[k][1] for k in chosen})
+    members = np.random.default_rng([SEED, 3, number]).choice(len(pool), SIZE, replace=False)
+    fit = hierarchical({str(k): pool[k][1] for k in members})
     assert fit is not None
     return fit
 
@@ -65,5 +65,5 @@ def observer_groups(show: Show, count: int, document: Path | None = None, proces
                 rows.append(_row(method, case, pool, count))
                 show(f"{method}, {case}: median JND held, spread held", ", ".join(rows[-1][2:4]), "90 to 99 %")
     if document is not None:
-        said = f"{count} groups of {SIZE} in each row, drawn from {POOL} observers, seed {SEED}:"
-        write_table(document, "groups", said, [HEAD, *rows])
+        caption = f"{count} groups of {SIZE} in each row, drawn from {POOL} observers, seed {SEED}:"
+        write_table(document, "groups", caption, [HEAD, *rows])

@@ -184,9 +184,9 @@ def observers(show: Show, count: int, document: Path | None = None, processes: i
         write_table(document, "observers", f"{count} observers in each row, seed {SEED}:", [HEAD, *rows])
 
 
-def write_table(document: Path, name: str, said: str, rows: Sequence[Sequence[str]]) -> None:
+def write_table(document: Path, name: str, caption: str, rows: Sequence[Sequence[str]]) -> None:
     """Replace what stands between the marks `name` of a document by a text and a table with its head."""
     begin, end = (f"<!-- {name}: {mark} -->" for mark in ("begin", "end"))
     table = "\n".join(f"| {' | '.join(line)} |" for line in (rows[0], ["---"] * len(rows[0]), *rows[1:]))
     before, _, rest = document.read_text().partition(begin)
-    document.write_text(f"{before}{begin}\n{said}\n\n{table}\n{end}{rest.partition(end)[2]}")
+    document.write_text(f"{before}{begin}\n{caption}\n\n{table}\n{end}{rest.partition(end)[2]}")

@@ -52,10 +52,10 @@ def started(stack: ExitStack, *words: str) -> subprocess.Popen[str]:
 def ready(process: subprocess.Popen[str]) -> dict[str, Any]:
     """Return the line by which a process tells that it is there."""
     assert process.stdout is not None
-    found: dict[str, Any] = json.loads(process.stdout.readline() or "{}")
-    if found.get("event") != "ready":
+    event: dict[str, Any] = json.loads(process.stdout.readline() or "{}")
+    if event.get("event") != "ready":
         sys.exit(f"benchmarks: {process.args}: it did not start")
-    return found
+    return event
 
 
 async def frames_per_s(url: str, over: Callable[[], None]) -> tuple[float, str]:
@@ -70,13 +70,13 @@ async def frames_per_s(url: str, over: Callable[[], None]) -> tuple[float, str]:
             over()
             first, begin = await browser.evaluate("frames"), time.monotonic()
             await asyncio.sleep(SECONDS)
-            found = (await browser.evaluate("frames") - first) / (time.monotonic() - begin)
+            rate = (await browser.evaluate("frames") - first) / (time.monotonic() - begin)
             over()
             drawing = await browser.evaluate(
                 "(() => { const begin = performance.now(); for (let i = 0; i < 50; i++) draw();"
                 " return ((performance.now() - begin) / 50).toFixed(1) })()"
             )
-            return found, f"{drawing} ms in JavaScript a frame"
+            return rate, f"{drawing} ms in JavaScript a frame"
 
 
 def page(show: Callable[..., None]) -> None:

@@ -77,10 +77,10 @@ def table(runs: dict[str, list[Run]]) -> None:
         for share, width in ((0.5, 12), (0.99, 8)):
             ratios = [r.p(share) / u for r, u in zip(some, unit or (), strict=unit is not None)]
             row += f"{median(ratios):>{width}.2f}" if ratios else f"{'-':>{width}}"
-        known = cpu is not None and all_of.cpu_us is not None
+        has_cpu = cpu is not None and all_of.cpu_us is not None
         row += (
             f"{median((r.cpu_us or 0) / t for r, t in zip(some, cpu or (), strict=True)):>8.2f}"
-            if known
+            if has_cpu
             else f"{'':>8}"
         )
         row += f"{of(all_of.late_cycles, all_of.cycles):>11}{of(all_of.missed, all_of.cycles + all_of.missed):>14}"
@@ -170,14 +170,14 @@ def bus_delivery(program: Path | str, bus: Bus, seconds: float, rounds: int) -> 
         skipped(what, reason)
         return
     assert isinstance(program, Path)
-    found = take_turns(
+    runs = take_turns(
         {
             "bus": lambda: quantile(c.delivery(program, bus, seconds)[0], 0.99),
             "reference": lambda: c.cyclictest(seconds, priority=c.BUS_PRIORITY, cpu=c.BUS_CPU).p(0.99),
         },
         rounds,
     )
-    show(what, ratio(found["bus"], found["reference"]), "at most 2 x")
+    show(what, ratio(runs["bus"], runs["reference"]), "at most 2 x")
 
 
 def throughput(program: Path | str, rounds: int) -> None:
@@ -187,7 +187,7 @@ def throughput(program: Path | str, rounds: int) -> None:
         skipped(what, program)
         return
     with Bus(unpaced=True) as bus:
-        found = take_turns(
+        runs = take_turns(
             {
                 "bus": lambda: c.crowd_on_bus(program, bus, CROWD_ROUNDS),
                 "twin": lambda: c.crowd_on_twin(program, CROWD_ROUNDS),
@@ -195,7 +195,7 @@ def throughput(program: Path | str, rounds: int) -> None:
             rounds,
         )
         lost = bus.end()["lost"]
-    show(what, ratio(found["bus"], found["twin"]), f"{lost} frames lost")
+    show(what, ratio(runs["bus"], runs["twin"]), f"{lost} frames lost")
 
 
 def rates(program: Path | str, seconds: float, rounds: int) -> None:
@@ -209,10 +209,10 @@ def rates(program: Path | str, seconds: float, rounds: int) -> None:
                 here[TWIN] = lambda bus=bus: c.twin(program, bus, seconds)  # type: ignore[misc]
             if c.has_cyclictest() is None:
                 here[CYCLICTEST] = lambda period_us=period_us: c.cyclictest(seconds, period_us=period_us)  # type: ignore[misc]
-            found = {name: together(runs) for name, runs in take_turns(here, rounds).items()}
-        run = found[PLANE]
+            by_name = {name: together(runs) for name, runs in take_turns(here, rounds).items()}
+        run = by_name[PLANE]
         text = f"{1000 / period_us:g} kHz at {bitrate // 1_000_000} Mbit/s"
-        others = "; ".join(f"{name} {100 * other.gone:.2f} %" for name, other in found.items() if name != PLANE)
+        others = "; ".join(f"{name} {100 * other.gone:.2f} %" for name, other in by_name.items() if name != PLANE)
         show(f"{text}: lost periods", f"{100 * run.gone:.2f} %", others)
         show(
             f"{text}: PDOs that never came; sets later than their window",
@@ -242,7 +242,7 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
 
     unit = together(runs[CYCLICTEST]).p(0.99) if CYCLICTEST in runs else 1.0
     titles = "alone in its process", "beside a busy and a garbage-making Python thread"
-    with figure(8.0, 5.5, 2, 1, sharex=True, sharey=True) as (made, panels):
+    with figure(8.0, 5.5, 2, 1, sharex=True, sharey=True) as (fig, panels):
         for ax, disturbed, title in zip(panels, (False, True), titles, strict=True):
             for name, some in runs.items():
                 plain = name.split(",")[0]
@@ -256,7 +256,7 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
             ax.legend(loc="upper left")
         text = "in units of cyclictest's p99" if CYCLICTEST in runs else "[us]"
         panels[1].set_xlabel(f"woke after its deadline, {text}; the last bin holds all that is later")
-        made.savefig(path, metadata={"Software": None})
+        fig.savefig(path, metadata={"Software": None})
 
 
 def lost(minutes: float) -> None:

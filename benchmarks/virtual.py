@@ -171,8 +171,8 @@ def million_frames(count: int = 1_000_000) -> None:
         can_id = rng.getrandbits(29 if extended else 11)
         length = rng.randrange(9)
         data = rng.randbytes(length) if rng.random() < 0.5 else bytes(rng.choices((0, 0xFF, 0xF8, 0x1F), k=length))
-        found = frame_bits(can_id, data, extended=extended, remote=kind == 2)
-        different += found != len(classical(can_id, data, extended, kind == 2))
+        bits = frame_bits(can_id, data, extended=extended, remote=kind == 2)
+        different += bits != len(classical(can_id, data, extended, kind == 2))
     show(f"frame lengths that differ from the oracle's, of {count:,}", f"{different}", "at most 0")
 
 

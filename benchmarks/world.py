@@ -226,8 +226,8 @@ def beside_programs(show: Callable[..., None], seconds: float, rounds: int) -> N
     """Show what four programs cost the cycle."""
     wakeups, times = [], []
     for number in range(rounds):
-        order = [{}, PROGRAMS] if number % 2 == 0 else [PROGRAMS, {}]
-        by_programs = {len(programs): cycle_figures(seconds, programs) for programs in order}
+        turns = [{}, PROGRAMS] if number % 2 == 0 else [PROGRAMS, {}]
+        by_programs = {len(programs): cycle_figures(seconds, programs) for programs in turns}
         (wakeup, cpu), (wakeup_beside, cpu_beside) = by_programs[0], by_programs[len(PROGRAMS)]
         wakeups.append(wakeup_beside / wakeup)
         times.append(cpu_beside / cpu)

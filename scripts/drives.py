@@ -51,10 +51,10 @@ class Tried(NamedTuple):
 
 
 def _run(*arguments: str) -> tuple[int, str, str]:
-    found = CliRunner().invoke(coulombus, list(arguments))
-    if found.exception is not None and not isinstance(found.exception, SystemExit):
-        raise found.exception
-    return found.exit_code, found.stdout, found.stderr
+    result = CliRunner().invoke(coulombus, list(arguments))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
 
 
 def _class(rig_file: str) -> str:
@@ -89,21 +89,21 @@ def _named(path: Path, after: str) -> re.Pattern[str]:
 
 def _lost(texts: Sequence[str], role: str, path: Path) -> str:
     named = _named(path, " ")
-    own = [named.sub("the file ", text.partition(": ")[2]) for text in texts if text.startswith(role)]
-    return "<br>".join(dict.fromkeys(text.rpartition("; ")[2] for text in own)) or "nothing"
+    of_role = [named.sub("the file ", text.partition(": ")[2]) for text in texts if text.startswith(role)]
+    return "<br>".join(dict.fromkeys(text.rpartition("; ")[2] for text in of_role)) or "nothing"
 
 
 def tried(path: Path, role: str, folder: Path) -> Tried | None:
     """Try one file as "drive" or "brake"; None where it is no brake."""
     rig_file = str(folder / f"{role}-{path.stem}.toml")
     others = {"drive": "brake", "brake": "drive"}
-    status, _, said = _run(
+    status, _, errors = _run(
         "init", f"--{role}", str(path), f"--{others[role]}", "bench", "--rehearse", "--no-trials", "-o", rig_file
     )
     if status:
         if role == "brake":
             return None
-        line = next(line for line in said.splitlines() if line.startswith("coulombus: "))
+        line = next(line for line in errors.splitlines() if line.startswith("coulombus: "))
         reason = _named(path, ": ").split(line, maxsplit=1)[-1].partition("; ")[0]
         return Tried(path.name, "E", "", "", "no", reason)
     status, out, _ = _run("check", "--rig", rig_file, "--json")
@@ -148,13 +148,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--write", action="store_true", help="put the tables into docs/drives.md")
-    given = parser.parse_args()
-    found = list(tables(given.folder))
-    if not given.write:
-        print("\n\n".join(found))
+    arguments = parser.parse_args()
+    contents = list(tables(arguments.folder))
+    if not arguments.write:
+        print("\n\n".join(contents))
         return
     text = PAGE.read_text()
-    for name, table in zip(("drives", "brakes"), found, strict=True):
+    for name, table in zip(("drives", "brakes"), contents, strict=True):
         begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
         before, _, rest = text.partition(begin)
         text = before + begin + table + end + rest.partition(end)[2]

@@ -97,9 +97,9 @@ class Map:
 
     def tests(self, path: Path, lines: Iterable[int]) -> list[str]:
         """Return the test functions that cover one of these lines and pass, the shortest first."""
-        wanted, found = set(lines), set[str]()
+        numbers, names = set(lines), set[str]()
         with warnings.catch_warnings(action="ignore"):  # that no test covers the module
             for data in self.data:
                 by_line = data.contexts_by_lineno(str(path))
-                found.update(test for line in wanted & by_line.keys() for test in by_line[line])
-        return sorted(found & self.seconds.keys() - self.failed, key=lambda test: self.seconds[test])
+                names.update(test for line in numbers & by_line.keys() for test in by_line[line])
+        return sorted(names & self.seconds.keys() - self.failed, key=lambda test: self.seconds[test])

@@ -116,9 +116,9 @@ class _Runner:
         )
         self.items = session.items
         pipe, pid = self._fork(self._baseline)
-        said = _read_all(pipe)
+        answer = _read_all(pipe)
         os.waitpid(pid, 0)
-        base = json.loads(said or b'{"failed": "the base run died"}')
+        base = json.loads(answer or b'{"failed": "the base run died"}')
         if self.budget_s is not None and not base.get("failed"):
             self.items = [item for item in self.items if item.nodeid in base["passed"]]
         self.error = base.get("failed", "")
@@ -237,8 +237,8 @@ class _Runner:
     def _chosen(self, mutant: Mutant, base: _Base) -> list[int]:
         lines = set(mutant.lines) if mutant.unit else set()
         here = [k for k in range(len(self.items)) if k not in self.left_out]
-        found = [k for k in here if not lines or lines & base.lines[k]]
-        return sorted(found, key=lambda k: base.waits[k])
+        reaching = [k for k in here if not lines or lines & base.lines[k]]
+        return sorted(reaching, key=lambda k: base.waits[k])
 
     def _run_all(self, base: _Base) -> None:
         running: dict[int, _Child] = {}
@@ -257,13 +257,13 @@ class _Runner:
                 if mutant is None:
                     done = True
                     break
-                chosen = self._chosen(mutant, base)
-                if not chosen:
+                tests = self._chosen(mutant, base)
+                if not tests:
                     self.tell(number, Verdict("survived", NOT_COVERED, 0.0))
                     continue
-                limit = max(SHORTEST_LIMIT_S, self.factor * sum(base.seconds[k] for k in chosen))
-                wait = max(SHORTEST_WAIT_S, self.factor * sum(base.waits[k] for k in chosen))
-                pipe, pid = self._fork(self._mutant_run(mutant, [self.items[k] for k in chosen], limit))
+                limit = max(SHORTEST_LIMIT_S, self.factor * sum(base.seconds[k] for k in tests))
+                wait = max(SHORTEST_WAIT_S, self.factor * sum(base.waits[k] for k in tests))
+                pipe, pid = self._fork(self._mutant_run(mutant, [self.items[k] for k in tests], limit))
                 running[pipe] = _Child(number, pid, pipe, time.monotonic() + wait)
             if running:
                 self._collect(running)
@@ -288,13 +288,13 @@ class _Runner:
 
     def _collect(self, running: dict[int, _Child]) -> None:
         first = min(child.until for child in running.values())
-        found = select.select(list(running), [], [], min(max(first - time.monotonic(), 0.0), 1.0))[0]
+        readable = select.select(list(running), [], [], min(max(first - time.monotonic(), 0.0), 1.0))[0]
         for child in running.values():
-            if child.pipe not in found and child.until <= time.monotonic():
+            if child.pipe not in readable and child.until <= time.monotonic():
                 child.hangs = True
                 child.until = float("inf")
                 child.end()
-        for pipe in found:
+        for pipe in readable:
             child = running[pipe]
             part = os.read(pipe, 65536)
             if part:

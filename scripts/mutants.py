@@ -189,25 +189,25 @@ class Source:
     @property
     def lacking(self) -> list[str]:
         """The units that the module does not have."""
-        there = {node.name for node in self.tree.body if isinstance(node, ast.FunctionDef)}
+        unit_names = {node.name for node in self.tree.body if isinstance(node, ast.FunctionDef)}
         for node in self.tree.body:
             if isinstance(node, ast.ClassDef):
-                there |= {f"{node.name}.{one.name}" for one in node.body if isinstance(one, ast.FunctionDef)}
-        return [unit for unit in self.units if unit not in there]
+                unit_names |= {f"{node.name}.{one.name}" for one in node.body if isinstance(one, ast.FunctionDef)}
+        return [unit for unit in self.units if unit not in unit_names]
 
     def mutants(self) -> list[Mutant]:
         """Return every mutant that differs from the module and from the ones before it, in the
         order of the lines.
         """
-        found, seen = [], {"": {self._code("")}}
+        distinct, seen = [], {"": {self._code("")}}
         for mutant in self._walk_module():
             if mutant.unit not in seen:
                 seen[mutant.unit] = {self._code(mutant.unit)}
             code = self._code_of(mutant)
             if code is not None and code not in seen[mutant.unit]:
                 seen[mutant.unit].add(code)
-                found.append(mutant)
-        return found
+                distinct.append(mutant)
+        return distinct
 
     def edits(self) -> list[Mutant]:
         """Return every edit in the order of the lines, without a look at the code that comes of it."""

@@ -271,10 +271,10 @@ class Results:
 
 def _file(test: str) -> str:
     """Return the path of the tests that are called so, with a folder where two files are."""
-    found = [str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob(f"{test}.py")]
-    if len(found) != 1:
-        raise SystemExit(f"{test}: expected the name of one file of tests, there are {sorted(found)}")
-    return found[0]
+    paths = [str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob(f"{test}.py")]
+    if len(paths) != 1:
+        raise SystemExit(f"{test}: expected the name of one file of tests, there are {sorted(paths)}")
+    return paths[0]
 
 
 def _digest(paths: list[Path]) -> str:
@@ -309,7 +309,7 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
         numbers = sorted(random.Random(f"{options.seed} {name}").sample(numbers, min(options.sample, len(numbers))))
     if options.unit:
         numbers = [k for k in numbers if mutants[k].unit == options.unit]
-    tally, wrong = Tally(name, len(numbers)), []
+    tally, failures = Tally(name, len(numbers)), []
     if options.list:
         for k in numbers:
             print(f"{name}:{mutants[k].line}: {mutants[k].operator}: {mutants[k].change}")
@@ -317,9 +317,9 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
     digests = _digest([path]), _digest([ROOT / test for test in tests])
     verdicts: dict[int, Verdict] = {}
     for k in numbers:
-        known = results.verdict(keys[k], *digests)
-        if known is not None:
-            verdicts[k] = known
+        recorded = results.verdict(keys[k], *digests)
+        if recorded is not None:
+            verdicts[k] = recorded
         elif listed.lists(name, mutants[k], nths[k]) and not options.check_equivalents:
             verdicts[k] = Verdict("survived", "listed", 0.0)
     missing = [k for k in numbers if k not in verdicts]
@@ -358,15 +358,15 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
         if verdict.status == "survived":
             tally.equivalent += equivalent
             if not equivalent:
-                wrong.append(f"SURVIVED {where}" + (f" ({verdict.by})" if verdict.by else ""))
+                failures.append(f"SURVIVED {where}" + (f" ({verdict.by})" if verdict.by else ""))
         else:
             tally.killed += verdict.status == "killed"
             tally.timeouts += verdict.status == "timeout"
             if equivalent:
-                wrong.append(f"LISTED, BUT KILLED {where} ({verdict.by})")
+                failures.append(f"LISTED, BUT KILLED {where} ({verdict.by})")
     if not options.sample and not options.unit:
-        wrong += [f"LISTED, BUT NO MUTANT {name}: {entry}" for entry in listed.unmet(name)]
-    return tally, wrong
+        failures += [f"LISTED, BUT NO MUTANT {name}: {entry}" for entry in listed.unmet(name)]
+    return tally, failures
 
 
 def _table(tallies: list[Tally]) -> str:
@@ -405,18 +405,18 @@ def main() -> int:
         return 0
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # before anything imports numba
     listed, results = Equivalents(EQUIVALENTS), Results(options.results, options.fresh)
-    tallies, wrong = [], []
+    tallies, failures = [], []
     for name in options.module or TARGETS:
         if len(options.module or TARGETS) > 1 and not options.list:
-            tally, found = _in_child(name, options, listed, results)
+            tally, of_module = _in_child(name, options, listed, results)
         else:
-            tally, found = mutate(name, options, listed, results)
+            tally, of_module = mutate(name, options, listed, results)
         tallies.append(tally)
-        wrong += found
-        print(*found, sep="\n", end="\n" if found else "", flush=True)
+        failures += of_module
+        print(*of_module, sep="\n", end="\n" if of_module else "", flush=True)
     if not options.list:
         print(_table(tallies))
-    return 1 if wrong else 0
+    return 1 if failures else 0
 
 
 def _in_child(name: str, options: argparse.Namespace, listed: Equivalents, results: Results) -> tuple[Tally, list[str]]:
@@ -427,9 +427,9 @@ def _in_child(name: str, options: argparse.Namespace, listed: Equivalents, resul
         status = 2
         try:
             os.close(reading)
-            tally, wrong = mutate(name, options, listed, results)
+            tally, failures = mutate(name, options, listed, results)
             with os.fdopen(writing, "w", encoding="utf-8") as file:
-                json.dump([vars(tally), wrong], file)
+                json.dump([vars(tally), failures], file)
             status = 0
         except SystemExit as error:
             print(error, file=sys.stderr)
@@ -437,12 +437,12 @@ def _in_child(name: str, options: argparse.Namespace, listed: Equivalents, resul
             os._exit(status)
     os.close(writing)
     with os.fdopen(reading, encoding="utf-8") as file:
-        said = file.read()
+        answer = file.read()
     os.waitpid(pid, 0)
-    if not said:
+    if not answer:
         raise SystemExit(2)
-    tally, wrong = json.loads(said)
-    return Tally(**tally), wrong
+    tally, failures = json.loads(answer)
+    return Tally(**tally), failures
 
 
 if __name__ == "__main__":

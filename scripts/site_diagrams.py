@@ -37,18 +37,18 @@ def svg(text: str) -> str:
 
 
 def _transition(line: str) -> tuple[str, str, str]:
-    found = re.fullmatch(r"(\S+) --> (\S+?)(?:: (.*))?", line)
-    if found is None:
+    match = re.fullmatch(r"(\S+) --> (\S+?)(?:: (.*))?", line)
+    if match is None:
         raise ValueError(f"no transition: {line!r}")
-    start, end, label = found.groups()
+    start, end, label = match.groups()
     return "start" if start == "[*]" else start, "end" if end == "[*]" else end, label or ""
 
 
 def _edge(line: str) -> tuple[str, str, str]:
-    found = re.fullmatch(r'(\w+) (?:-->|-- "(.*)" -->) (\w+)', line)
-    if found is None:
+    match = re.fullmatch(r'(\w+) (?:-->|-- "(.*)" -->) (\w+)', line)
+    if match is None:
         raise ValueError(f"no edge: {line!r}")
-    return found[1], found[3], found[2] or ""
+    return match[1], match[3], match[2] or ""
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
@@ -143,12 +143,12 @@ def _sequence(lines: list[str]) -> str:
     names: dict[str, str] = {}
     steps: list[tuple[str, str, str, list[str]]] = []
     for line in lines:
-        if found := re.fullmatch(r"participant (\w+) as (.+)", line):
-            names[found[1]] = found[2]
-        elif found := re.fullmatch(r"Note over (\w+)(?:,(\w+))?: (.*)", line):
-            steps.append(("note", found[1], found[2] or found[1], found[3].split("<br/>")))
-        elif found := re.fullmatch(r"(\w+)->>(\w+): (.*)", line):
-            steps.append(("arrow", found[1], found[2], [found[3]]))
+        if match := re.fullmatch(r"participant (\w+) as (.+)", line):
+            names[match[1]] = match[2]
+        elif match := re.fullmatch(r"Note over (\w+)(?:,(\w+))?: (.*)", line):
+            steps.append(("note", match[1], match[2] or match[1], match[3].split("<br/>")))
+        elif match := re.fullmatch(r"(\w+)->>(\w+): (.*)", line):
+            steps.append(("arrow", match[1], match[2], [match[3]]))
         else:
             raise ValueError(f"no step: {line!r}")
     apart = 20 + CHARACTER * max(len(text) for *_, texts in steps for text in texts)

@@ -30,11 +30,11 @@ class Described(Extension):
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Look at one docstring."""
         if obj.docstring is not None:
-            text = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), dollars(obj.docstring.value))
-            obj.docstring.value = RAISES.sub(lambda found: found[1] + SEVERAL.sub(_apart, found[2]), text)
+            text = SECTION.sub(lambda match: ENTRY.sub(r"\1\n    \2", match[0]), dollars(obj.docstring.value))
+            obj.docstring.value = RAISES.sub(lambda match: match[1] + SEVERAL.sub(_apart, match[2]), text)
 
 
-def _apart(found: re.Match[str]) -> str:
+def _apart(match: re.Match[str]) -> str:
     """Return an entry for each of the exceptions that share one."""
-    names = [name.strip() for name in found[1].replace("\n", " ").split(",") if name.strip()]
-    return "\n".join(f"{name}\n{found[2].rstrip()}" for name in names) + "\n"
+    names = [name.strip() for name in match[1].replace("\n", " ").split(",") if name.strip()]
+    return "\n".join(f"{name}\n{match[2].rstrip()}" for name in names) + "\n"

@@ -38,26 +38,26 @@ def commands(text: str) -> list[str]:
     return [line for section in sections if DRAWN.search(section) for line in commands_of(section)]
 
 
-def pictures(text: str, kept: Path = ROOT / "out" / FOLDER) -> dict[str, bytes]:
+def pictures(text: str, builds: Path = ROOT / "out" / FOLDER) -> dict[str, bytes]:
     """Return a page's pictures by name: those of an earlier build with the same commands and
     sources, or new ones.
 
     Parameters
     ----------
-    kept : folder of earlier builds
+    builds : folder of earlier builds
 
     Raises
     ------
     RuntimeError
         A command fails, or a picture is missing.
     """
-    folder = kept / digest(commands(text))
+    folder = builds / digest(commands(text))
     names = [Path(name).name for name in DRAWN.findall(text)]
     if not all((folder / name).is_file() for name in names):
-        made = _drawn(text)
-        rmtree(kept, ignore_errors=True)
+        drawn = _drawn(text)
+        rmtree(builds, ignore_errors=True)
         folder.mkdir(parents=True)
-        for name, content in made.items():
+        for name, content in drawn.items():
             (folder / name).write_bytes(content)
     return {name: (folder / name).read_bytes() for name in names}
 
@@ -89,20 +89,20 @@ def _drawn(text: str) -> dict[str, bytes]:
             )
             if done.returncode != 0 and not (done.returncode == 1 and line.startswith("coulombus diff ")):
                 raise RuntimeError(f"{line}: exit status {done.returncode}: {done.stderr.strip()[-500:]}")
-        made: dict[str, bytes] = {}
+        contents: dict[str, bytes] = {}
         for name in DRAWN.findall(text):
             path = Path(folder) / name
             if not path.is_file():
                 raise RuntimeError(f"no command of {PAGE} draws {name}")
-            made[path.name] = path.read_bytes()
-        return made
+            contents[path.name] = path.read_bytes()
+        return contents
 
 
 def shown(text: str) -> str:
     """Return the page with its pictures in place of the comments."""
 
-    def picture(found: re.Match[str]) -> str:
-        path = Path(found[1])
+    def picture(match: re.Match[str]) -> str:
+        path = Path(match[1])
         return f"[![{path.stem}]({FOLDER}/{path.name}){{ width={WIDTH_PX} }}]({FOLDER}/{path.name})"
 
     return DRAWN.sub(picture, text)

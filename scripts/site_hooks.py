@@ -177,12 +177,12 @@ def _sections(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[tuple[
         path = (*above, key)
         if named is not None:
             yield f"[{'.'.join(path)}.NAME]", named
-        for kind, found in kinds.items():
+        for kind, section in kinds.items():
             many = "tuple" in str(info.annotation)
             brackets = ("[[", "]]") if many else ("[", "]")
-            if any(not kinds_of(field) and named_in(field) is None for field in fields_of(found).values()):
-                yield f"{brackets[0]}{'.'.join(path)}{brackets[1]}" + (f" of kind {kind}" if kind else ""), found
-            yield from _sections(found, path)
+            if any(not kinds_of(field) and named_in(field) is None for field in fields_of(section).values()):
+                yield f"{brackets[0]}{'.'.join(path)}{brackets[1]}" + (f" of kind {kind}" if kind else ""), section
+            yield from _sections(section, path)
 
 
 def python_page() -> str:
@@ -236,13 +236,13 @@ def _target(path: Path, link: str) -> Path | None:
     name = link.partition("#")[0]
     if not name or "://" in link or link.startswith("mailto:"):
         return None
-    found = (path.parent / name).resolve()
-    return found if found.is_relative_to(ROOT) else None
+    file = (path.parent / name).resolve()
+    return file if file.is_relative_to(ROOT) else None
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that nobody wrote."""
-    made = {
+    pages = {
         "reference/verbs.md": verbs_page(),
         "reference/rig-keys.md": rig_keys_page(),
         "reference/python.md": python_page(),
@@ -252,19 +252,19 @@ def on_files(files: Files, config: Any) -> Files:
     }
     for path, text in _pages():
         for _, link in LINK.findall(text):
-            found = _target(path, link)
-            if found is not None and found.is_file() and place_of(found).startswith("repository/"):
-                made[place_of(found)] = source_page(found)
+            target = _target(path, link)
+            if target is not None and target.is_file() and place_of(target).startswith("repository/"):
+                pages[place_of(target)] = source_page(target)
         if path.suffix == ".ipynb":
             place = place_of(path)
             files.remove(files.get_file_from_path(place))
-            made[place.removesuffix(".ipynb") + ".md"] = notebook_page(path)
+            pages[place.removesuffix(".ipynb") + ".md"] = notebook_page(path)
     try:
         for name, content in pictures((ROOT / "docs" / PAGE).read_text()).items():
             files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
     except RuntimeError as error:
         raise PluginError(f"{PAGE}: {error}") from error
-    for place, text in made.items():
+    for place, text in pages.items():
         file = File.generated(config, place, content=text)
         if place.startswith("repository/"):
             file.inclusion = file.inclusion.NOT_IN_NAV
@@ -293,18 +293,18 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
     elif not written.exists():
         written = written.with_suffix(".ipynb")
 
-    def link(found: re.Match[str]) -> str:
-        target = _target(written, found[2])
+    def link(match: re.Match[str]) -> str:
+        target = _target(written, match[2])
         if target is None or not target.exists():  # MkDocs warns of a link to nowhere
-            return found[0]
+            return match[0]
         if target.is_dir():  # the site has none
-            return found[1].strip("[]")
-        there = place_of(target)
-        there = there.removesuffix(".ipynb") + ".md" if there.endswith(".ipynb") else there
-        hash_ = found[2].partition("#")[1] + found[2].partition("#")[2]
-        return f"{found[1]}({os.path.relpath(there, Path(place).parent)}{hash_})"
+            return match[1].strip("[]")
+        site_path = place_of(target)
+        site_path = site_path.removesuffix(".ipynb") + ".md" if site_path.endswith(".ipynb") else site_path
+        hash_ = match[2].partition("#")[1] + match[2].partition("#")[2]
+        return f"{match[1]}({os.path.relpath(site_path, Path(place).parent)}{hash_})"
 
-    text = MERMAID.sub(lambda found: f"<div>{svg(found[1])}</div>\n", text)
+    text = MERMAID.sub(lambda match: f"<div>{svg(match[1])}</div>\n", text)
     pieces = re.split(r"(^```.*?^```$|`[^`\n]+`)", text, flags=re.M | re.S)
     return "".join(piece if n % 2 else LINK.sub(link, piece) for n, piece in enumerate(pieces))
 
@@ -319,13 +319,13 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
     """Refuse a page that loads from the network; let the search run from the disk."""
-    if found := LOADED.search(output):
-        raise PluginError(f"{page.file.src_path} loads from the network: {found[0]}")
-    if found := TORN.search(output):
-        raise PluginError(f"{page.file.src_path}: a formula was read as emphasis: {found[0]}; write \\_ and \\*")
-    if found := raw_formula(output):
+    if fault := LOADED.search(output):
+        raise PluginError(f"{page.file.src_path} loads from the network: {fault[0]}")
+    if fault := TORN.search(output):
+        raise PluginError(f"{page.file.src_path}: a formula was read as emphasis: {fault[0]}; write \\_ and \\*")
+    if fault := raw_formula(output):
         raise PluginError(
-            f"{page.file.src_path}: a formula was not typeset: {found}; write $...$ or $$ on its own line"
+            f"{page.file.src_path}: a formula was not typeset: {fault}; write $...$ or $$ on its own line"
         )
     style = STYLE if "<math" in output else ""
     return output.replace("</head>", f"{style}{FROM_DISK}</head>", 1)

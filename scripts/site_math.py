@@ -51,16 +51,18 @@ def mathml(latex: str, block: bool = False) -> str:
         The formula has an unknown command, or braces and ends without their beginnings.
     """
     try:
-        made = convert(latex, display="block" if block else "inline")
-        words = "".join(ET.fromstring(made).itertext())
+        markup = convert(latex, display="block" if block else "inline")
+        words = "".join(ET.fromstring(markup).itertext())
     except Exception as error:  # the converter has no base class of its errors
         raise ValueError(f"no formula: {latex!r}: {error or type(error).__name__}") from error
     if unread := re.search(r"\\\w*|[&$]", words):
         raise ValueError(f"no formula: {latex!r}: {unread[0]!r} is not understood")
-    made = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\2</mo>', made)  # else spaced as between two terms
-    made = FUNCTION.sub(r'<mo form="prefix" lspace="0.17em" rspace="0.17em">\1</mo>', made)
-    made = NAMED.sub(lambda m: f'<mo form="prefix" lspace="0.17em" rspace="{0 if m[2] else 0.17}em">{m[1]}</mo>', made)
-    return made.replace("<math ", f'<math alttext="{escape(" ".join(latex.split()), quote=True)}" ', 1)
+    markup = BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\2</mo>', markup)  # else spaced as between two terms
+    markup = FUNCTION.sub(r'<mo form="prefix" lspace="0.17em" rspace="0.17em">\1</mo>', markup)
+    markup = NAMED.sub(
+        lambda m: f'<mo form="prefix" lspace="0.17em" rspace="{0 if m[2] else 0.17}em">{m[1]}</mo>', markup
+    )
+    return markup.replace("<math ", f'<math alttext="{escape(" ".join(latex.split()), quote=True)}" ', 1)
 
 
 def typeset(html: str) -> str:
@@ -72,9 +74,9 @@ def typeset(html: str) -> str:
         A formula cannot be typeset.
     """
 
-    def formula(found: re.Match[str]) -> str:
-        latex = unescape(found["line"] if found["block"] is None else found["block"]).strip()
-        if found["block"] is None:
+    def formula(match: re.Match[str]) -> str:
+        latex = unescape(match["line"] if match["block"] is None else match["block"]).strip()
+        if match["block"] is None:
             return mathml(latex)
         number = "".join(f"<span>({escape(text)})</span>" for text in TAG.findall(latex))
         return f'<div class="formula">{mathml(TAG.sub("", latex), block=True)}{number}</div>'
@@ -84,20 +86,20 @@ def typeset(html: str) -> str:
 
 def raw_formula(html: str) -> str:
     """Return the first formula of a page that is not typeset; code is no formula. Empty: none."""
-    found = RAW.search(CODE.sub("", html))
-    return found[0] if found else ""
+    match = RAW.search(CODE.sub("", html))
+    return match[0] if match else ""
 
 
 def dollars(docstring: str) -> str:
     """Return a docstring whose formulas stand between dollars instead of in Sphinx's roles."""
 
-    def block(found: re.Match[str]) -> str:
-        lines = [line.strip() for line in textwrap.dedent(found[2]).splitlines() if line.strip()]
-        return "".join(f"{found[1]}{line}\n" for line in ("$$", *lines, "$$")).rstrip("\n")
+    def block(match: re.Match[str]) -> str:
+        lines = [line.strip() for line in textwrap.dedent(match[2]).splitlines() if line.strip()]
+        return "".join(f"{match[1]}{line}\n" for line in ("$$", *lines, "$$")).rstrip("\n")
 
-    return ROLE.sub(lambda found: f"${' '.join(found[1].split())}$", DIRECTIVE.sub(block, docstring))
+    return ROLE.sub(lambda match: f"${' '.join(match[1].split())}$", DIRECTIVE.sub(block, docstring))
 
 
 def formulas(text: str) -> list[str]:
     """Return the formulas of a page or docstring that have a line of their own."""
-    return [" ".join(found.split()) for found in BLOCK.findall(textwrap.dedent(dollars(text)))]
+    return [" ".join(formula.split()) for formula in BLOCK.findall(textwrap.dedent(dollars(text)))]

@@ -40,12 +40,12 @@ def reasons(report: Report) -> list[str]:
     """
     numbers = {case: number for number, cause in enumerate(causes(report), 1) for case in cause.cases}
     shared = {case for cause in causes(report) if len(cause.cases) > 1 for case in cause.cases}
-    said: set[str] = set()
+    printed: set[str] = set()
     texts = []
     for outcome in report.outcomes:
         text = outcome.reason
         if outcome.case.id in shared:
-            text = f"cause {numbers[outcome.case.id]}" + ("" if text in said else f": {text}")
-            said.add(outcome.reason)
+            text = f"cause {numbers[outcome.case.id]}" + ("" if text in printed else f": {text}")
+            printed.add(outcome.reason)
         texts.append(text)
     return texts

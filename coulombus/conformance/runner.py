@@ -130,8 +130,8 @@ def select(numbers: Sequence[str]) -> list[Case]:
         There is no such case.
     """
     cases = catalogue()
-    known = {case.id for case in cases}
-    unknown = [number for number in numbers if number not in known]
+    case_ids = {case.id for case in cases}
+    unknown = [number for number in numbers if number not in case_ids]
     if unknown:
         raise UnknownCase(f"--case {unknown[0]}: there is no such case; expected a number such as 2.10, 7.101 or L.1")
     return [case for case in cases if not numbers or case.id in numbers]
@@ -183,15 +183,15 @@ def _check_identity(unit: Unit) -> None:
         (0x1018, 1, 0xFFFFFFFF, "vendor"),
         (0x1018, 2, 0xFFFFFFFF, "product"),
     ):
-        said = unit.default(unit.variable(index, subindex)) if unit.has(index, subindex) else None
-        if not isinstance(said, int) or not said & mask:
+        default = unit.default(unit.variable(index, subindex)) if unit.has(index, subindex) else None
+        if not isinstance(default, int) or not default & mask:
             continue
         try:
             value = unit.number(index, subindex)
         except CaseFailed:
             continue
-        if (value ^ said) & mask:
-            text = f"{where(index, subindex)} is {value:08X}h, and {said:08X}h in {unit.description.path}"
+        if (value ^ default) & mask:
+            text = f"{where(index, subindex)} is {value:08X}h, and {default:08X}h in {unit.description.path}"
             raise WrongDevice(
                 f"node {unit.node_id} has another {name} than the EDS: {text}. Give the EDS of this device; or --force"
             )

@@ -168,8 +168,8 @@ else:
     def _call(builder: Any, name: str, result: Any, arguments: list[Any]) -> Any:
         """Call the symbol `name`; return its result as an int64."""
         shape = ir.FunctionType(result, [a.type for a in arguments])
-        known = builder.module.globals.get(name)
-        value = builder.call(known or ir.Function(builder.module, shape, name), arguments)
+        symbol = builder.module.globals.get(name)
+        value = builder.call(symbol or ir.Function(builder.module, shape, name), arguments)
         return value if result == _I64 else builder.sext(value, _I64)
 
     def _room(builder: Any) -> Any:
@@ -199,8 +199,8 @@ else:
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            given = [a if w == _I64 else builder.trunc(a, w) for a, w in zip(args, widths, strict=True)]
-            return _call(builder, name, result, given)
+            operands = [a if w == _I64 else builder.trunc(a, w) for a, w in zip(args, widths, strict=True)]
+            return _call(builder, name, result, operands)
 
         int64 = types.int64
         if len(widths) == 3:

@@ -114,11 +114,11 @@ class BusLog:
             if is_then(line):
                 raise AssertionError(f"{then!r} was on the bus before {first!r}:\n{line.text}")
 
-    def report(self, most: int = REPORTED) -> str:
+    def report(self, count: int = REPORTED) -> str:
         """Return the newest lines."""
         lines = self.lines()
-        earlier = len(lines) - most
-        return "\n".join([f"({earlier} earlier lines)", *lines[-most:]] if earlier > 0 else lines)
+        earlier = len(lines) - count
+        return "\n".join([f"({earlier} earlier lines)", *lines[-count:]] if earlier > 0 else lines)
 
     def _await(self, missing: Callable[[], str]) -> str:
         """Return an empty text as soon as nothing is missing, or what is missing at the end."""

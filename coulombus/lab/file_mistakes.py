@@ -41,7 +41,7 @@ class FileMistakes:
         """Note pydantic's errors in the table `above`."""
         for finding in error.errors():
             place = tuple(part for part in finding["loc"] if not (isinstance(part, str) and "[" in part))
-            given = "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
+            got = "" if isinstance(finding["input"], dict) else f", not {shown(finding['input'])}"
             if finding["type"] == "extra_forbidden":
                 hint = nearest(str(place[-1]), model.model_fields)
                 text = f"no such key here{hint or '; expected ' + ', '.join(model.model_fields)}"
@@ -50,10 +50,10 @@ class FileMistakes:
             elif finding["type"] == "too_short":
                 text = "expected one value or more"
             elif finding["type"] in ("dict_type", "model_type"):
-                text = f"expected a table [{place[-1]}]{given}"
+                text = f"expected a table [{place[-1]}]{got}"
             else:
                 words = {key: value for key, value in finding.get("ctx", {}).items() if key != "error"}
-                text = f"expected {WANTED.get(finding['type'], finding['msg']).format(**words)}{given}"
+                text = f"expected {WANTED.get(finding['type'], finding['msg']).format(**words)}{got}"
                 if finding["type"] == "literal_error" and isinstance(finding["input"], str):
                     text += nearest(finding["input"], re.findall(r"'(\w+)'", words["expected"]))
             self.say((*above, *place), text)

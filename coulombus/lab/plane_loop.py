@@ -99,14 +99,14 @@ class PlaneCourse:
         """
         v, shown = self.vectors("vx_m_s", "vy_m_s"), self.vectors("shown_x_N", "shown_y_N")
         speed, size = np.hypot(*v.T), np.hypot(*shown.T)
-        kept = (speed > least_m_s) & (self.t_s >= from_s)
+        compared = (speed > least_m_s) & (self.t_s >= from_s)
         cross = shown[:, 0] * v[:, 1] - shown[:, 1] * v[:, 0]
-        off = np.degrees(np.arctan2(np.abs(cross), -(shown * v).sum(axis=1)))[kept]
+        off = np.degrees(np.arctan2(np.abs(cross), -(shown * v).sum(axis=1)))[compared]
         return {
             "median_deg": float(np.median(off)),
             "p95_deg": float(np.percentile(off, 95)),
-            "median_N": float(np.median(size[kept])),
-            "p95_N": float(np.percentile(size[kept], 95)),
+            "median_N": float(np.median(size[compared])),
+            "p95_N": float(np.percentile(size[compared], 95)),
         }
 
 

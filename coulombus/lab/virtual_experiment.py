@@ -48,8 +48,8 @@ def experiment(
     """
     plan = read_study(Path(path_text(study, "study", 'experiment("study.toml", "out", "S01", 0.15)')))
     place = Path(path_text(out, "out", 'experiment("study.toml", "out", "S01", 0.15)'))
-    known = f"simulated, JND {jnd:g}" + " Nm felt" * felt
-    with SubjectFolder(plan, place, subject, {"observer": known, "bus": "virtual time"}) as folder:
+    observer_text = f"simulated, JND {jnd:g}" + " Nm felt" * felt
+    with SubjectFolder(plan, place, subject, {"observer": observer_text, "bus": "virtual time"}) as folder:
         judged = partial(felt_of, folder) if felt else levels
         observer = Observer(jnd, plan.file.seed, folder.number, judged, faults or Faults())
         return run_session(SubjectSession(folder, VirtualDisplays()), People.simulated(observer.answer))

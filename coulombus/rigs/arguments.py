@@ -63,9 +63,9 @@ def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
     entries = tuple(values) if isinstance(values, Iterable) and not isinstance(values, (bytes, dict)) else None
     if entries is None:
         raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{example!r}]")
-    wrong = next((entry for entry in entries if not isinstance(entry, str)), None)
-    if wrong is not None:
-        raise WrongCall(f"{name} has {wrong!r} in it: expected texts alone, as in {name}=[{example!r}]")
+    not_text = next((entry for entry in entries if not isinstance(entry, str)), None)
+    if not_text is not None:
+        raise WrongCall(f"{name} has {not_text!r} in it: expected texts alone, as in {name}=[{example!r}]")
     return entries
 
 

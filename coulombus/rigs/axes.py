@@ -51,26 +51,26 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
     if "axis" not in values:
         return None
     axes, shared = values["axis"], {key: value for key, value in values.items() if key != "axis"}
-    if not isinstance(axes, dict) or not all(isinstance(own, dict) for own in axes.values()):
+    if not isinstance(axes, dict) or not all(isinstance(part, dict) for part in axes.values()):
         source.say(("axis",), "is not a table of axes; expected [axis.NAME], once for each axis")
         return {}
     if not 1 <= len(axes) <= MAX_AXES:
         source.say(("axis",), f"got {len(axes)} axes, expected 1 to {MAX_AXES}")
     merged: dict[str, dict[str, Any]] = {}
-    for name, own in axes.items():
+    for name, part in axes.items():
         if not NAME.fullmatch(name) or name in TAKEN:
             expected = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(
                 TAKEN
             )
             source.say(("axis", name), f"'{name}' names an axis; expected {expected}")
-        merged[name] = _merge(shared, own)
+        merged[name] = _merge(shared, part)
     return merged
 
 
-def _merge(shared: Table, own: Table) -> dict[str, Any]:
-    """Return `shared` overridden by `own`; a list is replaced as a whole."""
+def _merge(shared: Table, part: Table) -> dict[str, Any]:
+    """Return `shared` overridden by `part`; a list is replaced as a whole."""
     merged = deepcopy(dict(shared))
-    for key, value in own.items():
+    for key, value in part.items():
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merge(merged[key], value) if both else deepcopy(value)
     return merged

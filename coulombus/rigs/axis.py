@@ -157,8 +157,8 @@ class Axis(Sections):
 
     def without(self, *roles: str) -> Axis:
         """Return the axis as if the rig file removed these roles (object = "none")."""
-        said = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
-        lean = self.model_copy(update={"role": Roles.model_validate(said)})
+        roles_set = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
+        lean = self.model_copy(update={"role": Roles.model_validate(roles_set)})
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
         return Axis.of(lean, self.name, descriptions, self.origin, joint=self.joint)
 

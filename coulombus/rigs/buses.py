@@ -18,7 +18,7 @@ __all__ = ["bus_addresses", "one_bus"]
 
 
 def bus_addresses(
-    rig: Rig, given: Sequence[str] = (), channel: str | None = None, also: Collection[Kind] = ()
+    rig: Rig, texts: Sequence[str] = (), channel: str | None = None, also: Collection[Kind] = ()
 ) -> dict[str, BusAddress]:
     """Return the address of each of the rig's buses, or of the bus `channel` only; `also` as in `parse_address`.
 
@@ -30,12 +30,12 @@ def bus_addresses(
     if channel is not None and channel not in rig.channels:
         raise AddressError(f"--channel {channel}: the rig has {_names(rig)}")
     if channel is not None:
-        given = [text if _parted(text)[1] else f"{channel}={text}" for text in given]
-    addresses = _all_addresses(rig, given, also)
+        texts = [text if _parted(text)[1] else f"{channel}={text}" for text in texts]
+    addresses = _all_addresses(rig, texts, also)
     return addresses if channel is None else {channel: addresses[channel]}
 
 
-def one_bus(rig: Rig, given: str | None, channel: str | None, also: Collection[Kind] = ()) -> tuple[Rig, BusAddress]:
+def one_bus(rig: Rig, text: str | None, channel: str | None, also: Collection[Kind] = ()) -> tuple[Rig, BusAddress]:
     """Return the rig's part on one bus, and the address of that bus; `also` as in `parse_address`.
 
     Raises
@@ -45,7 +45,7 @@ def one_bus(rig: Rig, given: str | None, channel: str | None, also: Collection[K
     """
     if channel is None and len(rig.channels) > 1:
         raise AddressError(f"the rig has {_names(rig)}; name one with --channel")
-    ((name, address),) = bus_addresses(rig, () if given is None else (given,), channel, also).items()
+    ((name, address),) = bus_addresses(rig, () if text is None else (text,), channel, also).items()
     return rig.on(name), address
 
 
@@ -61,11 +61,11 @@ def _parted(text: str) -> tuple[str, str, str]:
     return channel, equals, kind + colon + rest
 
 
-def _all_addresses(rig: Rig, given: Sequence[str], also: Collection[Kind]) -> dict[str, BusAddress]:
+def _all_addresses(rig: Rig, texts: Sequence[str], also: Collection[Kind]) -> dict[str, BusAddress]:
     name, channels = default_address(rig.name).name, rig.channels
     several = len(channels) > 1
     addresses: dict[str, BusAddress] = {}
-    for text in given:
+    for text in texts:
         channel, equals, address = _parted(text)
         if several and not equals:
             raise AddressError(f"--bus {text}: the rig has {_names(rig)}; say which: {channels[0]}={text}")

@@ -79,20 +79,20 @@ def _check_bodies(plant: Table, source: Source) -> None:
     inner = whole - math.fsum(ends.values())
     if inner <= 0:
         name, key = next((name, key) for name, key in COUPLINGS if name in ends)
-        together = " + ".join(f"plant.{body}.{own}" for body, own in COUPLINGS if body in ends)
+        together = " + ".join(f"plant.{body}.{inertia_key}" for body, inertia_key in COUPLINGS if body in ends)
         expected = f"less: the drum has what {together} leaves of plant.inertia_kg_m2, which is {shown(whole)}"
         source.stands(("plant", name, key), ends[name], expected)
         return
     for name, end in ends.items():
         both = 1 / end + 1 / inner
-        for key, most, why in (
+        for key, largest, why in (
             ("stiffness_Nm_rad", 1 / (step * step * both), "a period of its vibration takes at least 2 pi steps"),
             ("damping_Nms_rad", 2 / (step * both), "its damping acts for at least half a step"),
         ):
             value = _number(source, plant, name, key)
-            if value is not None and value > most:
+            if value is not None and value > largest:
                 expected = (
-                    f"at most {most:.4g} with plant.step_s = {shown(step)} and the inertias {end:.4g} and {inner:.4g} kg m2 "
+                    f"at most {largest:.4g} with plant.step_s = {shown(step)} and the inertias {end:.4g} and {inner:.4g} kg m2 "
                     f"beside it ({why}); take a shorter step, or leave the section out: then it is rigid"
                 )
                 source.stands(("plant", name, key), value, expected)

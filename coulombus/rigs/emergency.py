@@ -27,8 +27,8 @@ def emcy_identifier(description: Description, node_id: int) -> int:
     usual, default = CobId.EMCY + node_id, emcy_default(description, node_id)
     if default is None or default & (COB_ID_INVALID | _EXTENDED) or default == CobId.SYNC:
         return usual
-    own = default & 0x7FF
-    return own if own == usual or (own and not restricted(own)) else usual
+    described = default & 0x7FF
+    return described if described == usual or (described and not restricted(described)) else usual
 
 
 def is_mute(description: Description, node_id: int) -> bool:

@@ -74,8 +74,8 @@ class Source:
         if not self.axis:
             return key
         values = self.document.values
-        own = _depth(values, (*self.axis, *key)) - len(self.axis)
-        return (*self.axis, *key) if own == len(key) or own > _depth(values, key) else key
+        depth = _depth(values, (*self.axis, *key)) - len(self.axis)
+        return (*self.axis, *key) if depth == len(key) or depth > _depth(values, key) else key
 
     def spelled(self, key: Key) -> str:
         """Return `key` as the user wrote it, as a text."""
@@ -94,8 +94,8 @@ class Source:
             if key[:length] in self.overrides:  # of this key, or of all that holds it
                 return float("inf"), _option(self.overrides[key[:length]])
         if not any(place[: len(key)] == key for place in self.document.lines):
-            for given, text in self.overrides.items():
-                if given[: len(key)] == key:
+            for override, text in self.overrides.items():
+                if override[: len(key)] == key:
                     return float("inf"), _option(text)
         line = self.document.line(key)
         return line, f"{self.path}:{line}"
@@ -106,9 +106,9 @@ class Source:
         self.wrong.add(key)
         self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
 
-    def stands(self, key: Key, value: Any, expected: str, known: Iterable[str] = ()) -> None:
+    def stands(self, key: Key, value: Any, expected: str, choices: Iterable[str] = ()) -> None:
         """Note that `value` is not as `expected`."""
-        hint = nearest(value, known) if isinstance(value, str) else ""
+        hint = nearest(value, choices) if isinstance(value, str) else ""
         self.say(key, f"got '{shown(value)}', expected {expected}{hint}")
 
     def lacks(self, key: Key, expected: str) -> None:
@@ -172,30 +172,30 @@ def shown(value: Any) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
-def nearest(given: str, known: Iterable[str]) -> str:
-    """Return "; did you mean ...?" for the known word nearest to `given`, or ""."""
-    by_small, small = {word.lower(): word for word in known}, given.lower()
+def nearest(text: str, choices: Iterable[str]) -> str:
+    """Return "; did you mean ...?" for the choice nearest to `text`, or ""."""
+    by_small, small = {word.lower(): word for word in choices}, text.lower()
     words = difflib.get_close_matches(small, by_small, 1, 0.6)
     words = words or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
     return f"; did you mean '{by_small[words[0]]}'?" if words else ""
 
 
-def number_hint(given: str, unit: str) -> str:
+def number_hint(value: str, unit: str) -> str:
     """Return a hint "; ..." for a number written with a unit or a decimal comma, else "".
 
     Parameters
     ----------
-    given : the text in place of a number
+    value : the text in place of a number
     unit : of the number, or ""
     """
-    text = given.strip()
+    text = value.strip()
     if _WITH_COMMA.fullmatch(text):
         return f"; write {text.replace(',', '.')}, with a decimal point"
     match = _WITH_UNIT.fullmatch(text)
     if match is None:
         return ""
-    number, own = match[1], match[2].strip()
-    prefix = own if own in ("k", "M") else own.removesuffix(unit)
+    number, unit_of_text = match[1], match[2].strip()
+    prefix = unit_of_text if unit_of_text in ("k", "M") else unit_of_text.removesuffix(unit)
     if prefix in PREFIXES and (unit or prefix):
         return (
             f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}"

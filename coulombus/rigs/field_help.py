@@ -151,16 +151,16 @@ def expected(name: str, info: FieldInfo) -> str:
     elif named_in(info) is not None:
         text = f"[{name}.NAME], once for each"
     else:
-        most = next(item.max_length for item in info.metadata if hasattr(item, "max_length"))
-        text = f"a list of at most {most} numbers" + (f", in {unit}" if unit else "")
+        longest = next(item.max_length for item in info.metadata if hasattr(item, "max_length"))
+        text = f"a list of at most {longest} numbers" + (f", in {unit}" if unit else "")
     return f"{text} ({info.description})" if info.description else text
 
 
 def misspelt_sections(values: Table, schema: type[BaseModel], source: Source) -> None:
     """Note each unknown section whose name is close to a missing one: one error, not two."""
-    known = fields_of(schema)
-    for name in [name for name in values if name not in known]:
-        meant = difflib.get_close_matches(name, known.keys() - values.keys(), 1, 0.75)
+    sections = fields_of(schema)
+    for name in [name for name in values if name not in sections]:
+        meant = difflib.get_close_matches(name, sections.keys() - values.keys(), 1, 0.75)
         if meant:
             source.say((name,), f"unknown section; did you mean [{meant[0]}]?")
             source.wrong.add((meant[0],))
@@ -183,17 +183,17 @@ def explain(error: ValidationError, values: Table, schema: type[BaseModel], sour
         elif detail["type"] == "extra_forbidden" or info is None:
             _unknown(key, holder, schema, source)
         elif detail["type"].startswith("union_tag"):
-            known = kinds_of(info)
-            kinds_text = "one of " + ", ".join(f'"{kind}"' for kind in known)
+            kinds = kinds_of(info)
+            kinds_text = "one of " + ", ".join(f'"{kind}"' for kind in kinds)
             if "kind" in detail["input"]:
-                source.stands((*key, "kind"), detail["input"]["kind"], kinds_text, known)
+                source.stands((*key, "kind"), detail["input"]["kind"], kinds_text, kinds)
             elif not source.is_wrong((*key, "kind")):
                 source.say((*key, "kind"), f"missing in [[{name}]]; expected {kinds_text}")
         else:
-            given, kinds_text = _value(values, key), expected(name, info)
-            if info.annotation in (int, float) and isinstance(given, str):
-                kinds_text += number_hint(given, unit_of(name))
-            source.stands(key, given, kinds_text, _choices(info))
+            value, kinds_text = _value(values, key), expected(name, info)
+            if info.annotation in (int, float) and isinstance(value, str):
+                kinds_text += number_hint(value, unit_of(name))
+            source.stands(key, value, kinds_text, _choices(info))
 
 
 def _value(values: Any, key: Key) -> Any:
@@ -233,13 +233,13 @@ def _follow(
 def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source: Source) -> None:
     """Note an unknown key: the keys of its section, and where the same name is known, or the nearest name here."""
     name, section = str(key[-1]), dotted(key[:-1])
-    known = list(fields_of(holder))
+    keys = list(fields_of(holder))
     paths = list(_paths(schema))
     homes = [path for path in paths if path.rpartition(".")[2] == name]
-    hint = _or(homes) or nearest(name, known) or _or(_similar(name, paths))
+    hint = _or(homes) or nearest(name, keys) or _or(_similar(name, paths))
     expected = f"one of the keys of [{section}]" if section else "one of the sections"
     kind = "key" if section else "section"
-    source.say(key, f"unknown {kind}; expected {expected}: {', '.join(known)}{hint}")
+    source.say(key, f"unknown {kind}; expected {expected}: {', '.join(keys)}{hint}")
 
 
 def _or(paths: Sequence[str]) -> str:

@@ -71,10 +71,10 @@ def _from_file(name: str, rig_path: str) -> Description:
     path, tried = _find(name, rig_path, package)
     if path is not None:
         return read_eds(path)
-    own = sorted(entry.name for entry in package.glob("*.eds"))
+    packaged = sorted(entry.name for entry in package.glob("*.eds"))
     looked = ", ".join(map(str, tried))
     raise EdsError(
-        f"there is no such file; looked for {looked}; expected a path, or one of {', '.join(own)}{nearest(name, own)}"
+        f"there is no such file; looked for {looked}; expected a path, or one of {', '.join(packaged)}{nearest(name, packaged)}"
     )
 
 

@@ -29,8 +29,8 @@ class FrozenMap(Mapping[str, Value], Generic[Value]):
         return type(self), (self.pairs,)
 
     def __getitem__(self, name: str) -> Value:
-        for known, value in self.pairs:
-            if known == name:
+        for key, value in self.pairs:
+            if key == name:
                 return value
         raise KeyError(name)
 

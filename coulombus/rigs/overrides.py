@@ -34,6 +34,6 @@ def shared_machine(rig: Rig) -> tuple[str, ...]:
     that is longer; at most 50 cycles.
     """
     longest_s = max(axis.bus.period_s for axis in rig.axes)
-    own = max(axis.limits.missed_tpdo_cycles for axis in rig.axes)
-    cycles = max(own, min(50, math.ceil(STANDSTILL_S / longest_s - 1e-9)))
+    cycles_of_rig = max(axis.limits.missed_tpdo_cycles for axis in rig.axes)
+    cycles = max(cycles_of_rig, min(50, math.ceil(STANDSTILL_S / longest_s - 1e-9)))
     return tuple(f"{MISSED}={cycles}" if text.startswith(MISSED) else text for text in SHARED_MACHINE)

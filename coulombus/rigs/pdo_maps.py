@@ -64,15 +64,15 @@ def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
     absent: set[str] = set()
     for node in parts.devices:
         for direction in ("rpdo", "tpdo"):
-            own = [binding for binding in bindings if binding.node == node and binding.kind.direction == direction]
+            of_node = [binding for binding in bindings if binding.node == node and binding.kind.direction == direction]
             device = _Device(parts, node, direction, prefix)
-            pdos += device.fill(own)
+            pdos += device.fill(of_node)
             absent |= device.absent
             problems += device.problems
             losses += device.losses
     problems += [*_shared(pdos), *_too_many(pdos), *_ambiguous(parts, bound)]
-    kept = tuple(binding for binding in bound.bindings if binding.kind.name not in absent)
-    return AxisPdos(replace(bound, bindings=kept), tuple(pdos), tuple(losses), tuple(problems))
+    mapped = tuple(binding for binding in bound.bindings if binding.kind.name not in absent)
+    return AxisPdos(replace(bound, bindings=mapped), tuple(pdos), tuple(losses), tuple(problems))
 
 
 def _too_many(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
@@ -260,9 +260,9 @@ class _Device:
 
     def _standing(self, index: int, subindex: int) -> tuple[int, str]:
         """Return the constant value of an RPDO entry, and the reason."""
-        said = [write.value for write in self.part.sdo if (write.index, write.sub) == (index, subindex)]
-        if said:
-            return said[-1], f"[[{self.node}.sdo]]"
+        written = [write.value for write in self.part.sdo if (write.index, write.sub) == (index, subindex)]
+        if written:
+            return written[-1], f"[[{self.node}.sdo]]"
         mode = of_axis(MODE, drive_axis_of(self.part)), 0
         if (index, subindex) == mode and isinstance(self.part, Motor | Brake):
             return mode_of(self.part, self.description), "the mode of operation"

@@ -74,11 +74,11 @@ def records_of(
     transmission : requested type, used if possible
     drive_axis : number of the drive's axis
     """
-    known = description.derived.setdefault(records_of, {})
+    cache = description.derived.setdefault(records_of, {})
     key = node_id, direction, period_ns, transmission, drive_axis
-    if key not in known:
-        known[key] = tuple(_records_of(description, *key))
-    records: tuple[PdoParameters, ...] = known[key]
+    if key not in cache:
+        cache[key] = tuple(_records_of(description, *key))
+    records: tuple[PdoParameters, ...] = cache[key]
     return records
 
 
@@ -87,9 +87,9 @@ def _records_of(
 ) -> Iterator[PdoParameters]:
     first = COMMUNICATION[direction]
     indices = sorted(index for index in description.objects if first <= index < first + PDO_COUNT)
-    own = [index for index in indices if _belongs(description, node_id, direction, index - first + 1, drive_axis)]
+    of_axis = [index for index in indices if _belongs(description, node_id, direction, index - first + 1, drive_axis)]
     taken: set[int] = set()
-    for place, index in enumerate(own or indices):
+    for place, index in enumerate(of_axis or indices):
         number, mapping = index - first + 1, index - first + MAPPING[direction]
         if not (description.has(index, 1) and description.has(mapping, 0)):
             continue
@@ -100,11 +100,11 @@ def _records_of(
         if writable(identity):
             if number <= PREDEFINED:
                 identifier = FIRST[direction] + 0x100 * (number - 1) + node_id
-            elif own and not identifier and place < PREDEFINED and not _keeps(description, first + place):
+            elif of_axis and not identifier and place < PREDEFINED and not _keeps(description, first + place):
                 identifier = FIRST[direction] + 0x100 * place + node_id
         elif word & INVALID:
             continue
-        if not 0 < identifier <= 0x7FF or (own and identifier in taken):
+        if not 0 < identifier <= 0x7FF or (of_axis and identifier in taken):
             continue
         transmission = _transmission(description, index, preferred, direction)
         if transmission is None:

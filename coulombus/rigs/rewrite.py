@@ -80,8 +80,8 @@ def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
     first = at
     while first > 0 and lines[first - 1].lstrip().startswith("#"):
         first -= 1
-    kept = [line for line in lines[first:at] if not line.lstrip("# \t").startswith(mark) and not _GUESS.match(line)]
-    lines[first:at] = [*kept, f"{indent}# {mark} {new.comment}"]
+    comments = [line for line in lines[first:at] if not line.lstrip("# \t").startswith(mark) and not _GUESS.match(line)]
+    lines[first:at] = [*comments, f"{indent}# {mark} {new.comment}"]
 
 
 def _in_its_column(comment: str, longer: int) -> str:
@@ -110,18 +110,18 @@ def _insert(lines: list[str], document: Document, key: Key, new: NewValue, mark:
     below a new header at the file's end if there is no section.
     """
     headers = {n for n, line in enumerate(lines, 1) if line.lstrip().startswith("[")}
-    own = [f"# {mark} {new.comment}", f"{key[-1]} = {toml_value(new.value)}"]
+    new_lines = [f"# {mark} {new.comment}", f"{key[-1]} = {toml_value(new.value)}"]
     at = document.lines.get(key[:-1])
     if at is not None and at in headers:
-        lines[at:at] = own
+        lines[at:at] = new_lines
     elif _has(document, key[:-1]):
         length = max((n for n in range(1, len(key)) if document.lines.get(key[:n]) in headers), default=0)
         at = document.lines[key[:length]] if length else 0
-        lines[at:at] = [own[0], f"{dotted(key[length:])} = {toml_value(new.value)}"]
+        lines[at:at] = [new_lines[0], f"{dotted(key[length:])} = {toml_value(new.value)}"]
     else:
         while lines and not lines[-1].strip():
             lines.pop()
-        lines += ["", f"[{dotted(key[:-1])}]", *own, ""]
+        lines += ["", f"[{dotted(key[:-1])}]", *new_lines, ""]
 
 
 def _has(document: Document, key: Key) -> bool:
@@ -166,9 +166,9 @@ def replace_file(path: Path, before: str, after: str, copy: Path | None = None) 
     bom = b"\xef\xbb\xbf" if raw.startswith(b"\xef\xbb\xbf") else b""
     if raw[len(bom) :] != before.encode():
         raise RigError([f"{path}: the file was changed meanwhile; nothing is written, measure again"])
-    kept = _keep(copy or path.with_name(f"{path.name}.bak"), raw)
+    backup = _keep(copy or path.with_name(f"{path.name}.bak"), raw)
     write_whole(path, bom + after.encode(), stat.S_IMODE(path.stat().st_mode))
-    return kept
+    return backup
 
 
 def _keep(path: Path, content: bytes) -> Path:

@@ -207,13 +207,13 @@ class Rig:
         """Return the rig's part on the bus `channel`: only its axes."""
         if self.channels == (channel,):
             return self
-        there = tuple(axis for axis in self.axes if axis.bus.channel == channel)
-        if not there:
+        axes = tuple(axis for axis in self.axes if axis.bus.channel == channel)
+        if not axes:
             raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
         values = read_toml(self._spelled).values
-        values["axis"] = {axis.name: values["axis"][axis.name] for axis in there}
+        values["axis"] = {axis.name: values["axis"][axis.name] for axis in axes}
         values = {name: section for name, section in values.items() if name not in PLANE_SECTIONS}
-        return replace(self, axes=there, in_plane=None, _spelled=_spelled(self.name, values))
+        return replace(self, axes=axes, in_plane=None, _spelled=_spelled(self.name, values))
 
     @property
     def kinematics(self) -> Kinematics | None:
@@ -273,9 +273,9 @@ class Rig:
 
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
-        wrong = next((override for override in overrides if not isinstance(override, str)), None)
-        if wrong is not None:
-            raise WrongCall(f"{wrong!r} is not an override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
+        not_text = next((override for override in overrides if not isinstance(override, str)), None)
+        if not_text is not None:
+            raise WrongCall(f"{not_text!r} is not an override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
         if not overrides:
             return self
         attached = self.origin.attached
@@ -287,8 +287,8 @@ class Rig:
         """Return the rig with another law, for all its axes."""
         if name.endswith(".py"):
             raise RigError([f"--law {name}: name the function: {name}:NAME"])
-        own = read_toml(self._spelled).values["axis"] if self._spelled else {}
-        named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
+        axis_values = read_toml(self._spelled).values["axis"] if self._spelled else {}
+        named = [axis for axis, values in axis_values.items() if "function" in values.get("law", ())]
         return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
 
     def with_law_in(self, folder: Path) -> Rig:
@@ -415,8 +415,8 @@ def _load(
     for override in overrides:
         apply_override(values, override, source)
     for name in set(values.get("axis", ())) - axes_of_file:
-        known = ", ".join(sorted(axes_of_file)) or "none: the file has no [axis.NAME]"
-        source.say(("axis", name), f"there is no such axis; the rig's axes are {known}")
+        axis_names = ", ".join(sorted(axes_of_file)) or "none: the file has no [axis.NAME]"
+        source.say(("axis", name), f"there is no such axis; the rig's axes are {axis_names}")
         if axes_of_file:
             del values["axis"][name]
     separate = {name: section for name, section in values.items() if name not in PLANE_SECTIONS}
@@ -425,8 +425,8 @@ def _load(
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
     before = {axis.name: axis for axis in earlier}
     parts = [
-        AxisParts.of(name, own, sources[name], eds_texts, attached=attached, earlier=before.get(name))
-        for name, own in own_values.items()
+        AxisParts.of(name, axis_values, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        for name, axis_values in own_values.items()
     ]
     if named is not None:
         check_axes(named, sources, one_cycle="kinematics" in values)
@@ -441,6 +441,6 @@ def _load(
     origin = Origin(path, text, tuple(overrides), attached, law_named)
     joint = in_plane is not None
     axes = tuple(part.axis(name, origin, joint=joint) for name, part in zip(own_values, parts, strict=True))
-    warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
+    warnings = [text for name, axis_values in own_values.items() for text in remarks(axis_values, sources[name])]
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
     return Rig(axes, origin, tuple(dict.fromkeys(warnings)), in_plane, spelled)

@@ -35,20 +35,20 @@ def named_rig(name: str) -> Path:
     RigError
         There is no such rig.
     """
-    known = known_rigs()
-    if name not in known:
-        expected = f"expected one of {', '.join(known)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
-        raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {expected}{_meant(Path(name), known)}"])
+    names = known_rigs()
+    if name not in names:
+        expected = f"expected one of {', '.join(names)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
+        raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {expected}{_meant(Path(name), names)}"])
     return packaged_rig(name)
 
 
-def _meant(path: Path, known: Sequence[str]) -> str:
+def _meant(path: Path, names: Sequence[str]) -> str:
     """Return the remedy if `path` exists but is not a rig file."""
     if path.suffix.lower() in (".eds", ".dcf", ".xdd", ".xdc"):
         return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
     if path.name.removesuffix(".zst").removesuffix(".gz").endswith(".pcapng"):
         return "; this is the name of a recording, and its rig is attached to it"
-    return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)
+    return f"; {path} is a folder" if path.is_dir() else nearest(str(path), names)
 
 
 def read_rig_file(path: Path) -> tuple[str, list[tuple[float, str]]]:

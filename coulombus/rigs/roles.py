@@ -184,9 +184,9 @@ def profile_of(description: Description, node: Node) -> int:
     if node == "motor":
         return CIA402
     device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
-    known = device_type & 0xFFFF if isinstance(device_type, int) else 0
-    if known in BRAKE_OBJECTS:
-        return known
+    number = device_type & 0xFFFF if isinstance(device_type, int) else 0
+    if number in BRAKE_OBJECTS:
+        return number
     signs = ((0x7300, CIA404), (0x7130, CIA404), (0x6411, CIA401), (0x6071, CIA402), (0x6040, CIA402))
     return next((profile for index, profile in signs if description.has(index)), CIA404)
 
@@ -225,35 +225,35 @@ def _twice(bindings: list[Binding]) -> Iterator[Problem]:
 
 def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
     """Return the binding of a role; None if no device has it."""
-    said: Role = getattr(parts.role, kind.name) or Role(node="", object="")
-    node = said.node or kind.home
+    role: Role = getattr(parts.role, kind.name) or Role(node="", object="")
+    node = role.node or kind.home
     if node not in parts.devices:
         text = f"there is no device '{node}'"
-        raise _Refused(Problem(kind.name, node, said.object, text, f"name one of {', '.join(parts.devices)}"))
-    if said.object == "none":
+        raise _Refused(Problem(kind.name, node, role.object, text, f"name one of {', '.join(parts.devices)}"))
+    if role.object == "none":
         if kind.needed:
             text = "the host cannot do without this role"
-            raise _Refused(Problem(kind.name, node, said.object, text, "name the object that it is"))
+            raise _Refused(Problem(kind.name, node, role.object, text, "name the object that it is"))
         return None
     description = parts.description(node)
-    candidates = _named(said.object) or _by_profile(kind, description, node, drive_axis_of(parts.part(node)))
-    chosen = next((at for at in candidates if not _lacks(description, *at, kind.direction)), None)
-    if chosen is None:
-        if not candidates and not (kind.needed or said.node):
+    candidates = _named(role.object) or _by_profile(kind, description, node, drive_axis_of(parts.part(node)))
+    entry_place = next((at for at in candidates if not _lacks(description, *at, kind.direction)), None)
+    if entry_place is None:
+        if not candidates and not (kind.needed or role.node):
             return None
         if not candidates:
             text = f"{description.path} is of a profile that has no {kind.name} by itself"
             raise _Refused(Problem(kind.name, node, "", text, f"name its object in [role.{kind.name}]"))
         lack = _lacks(description, *candidates[0], kind.direction)
-        if not (kind.needed or said.object or said.node):
+        if not (kind.needed or role.object or role.node):
             return None
         place = f"{candidates[0][0]:04X}h:{candidates[0][1]:X}"
-        remedy = lack.remedy.replace(DEVICE, node) if not said.object else "name another one"
+        remedy = lack.remedy.replace(DEVICE, node) if not role.object else "name another one"
         raise _Refused(Problem(kind.name, node, place, lack.text, remedy))
-    entry = checked_entry(description, *chosen, kind.direction)
-    scaled = _scaled(parts, Binding(kind, node, entry), said, bindings)
+    entry = checked_entry(description, *entry_place, kind.direction)
+    scaled = _scaled(parts, Binding(kind, node, entry), role, bindings)
     if kind.unit and entry.bits > WIDEST:
-        where = f"{description.path}:{description.variable(*chosen).line}"
+        where = f"{description.path}:{description.variable(*entry_place).line}"
         text = f"{where}: {entry.index:04X}h:{entry.subindex:X} has {entry.bits} bits"
         raise _Refused(
             Problem(
@@ -321,7 +321,7 @@ def checked_entry(description: Description, index: int, subindex: int, direction
 # scales
 
 
-def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding]) -> Binding:
+def _scaled(parts: Parts, binding: Binding, role: Role, bindings: list[Binding]) -> Binding:
     """Return the binding with its scale at the handle, and the scale's source."""
     m, name = parts.mechanics, binding.kind.name
     turned = {
@@ -334,15 +334,15 @@ def _scaled(parts: Parts, binding: Binding, said: Role, bindings: list[Binding])
     at_motor = {"torque_setpoint": m.ratio, "torque": m.ratio, "velocity": 1 / m.ratio}.get(name, 1.0)
     if not binding.kind.unit:
         return binding
-    if isinstance(said, BrakeRole) and said.table:
-        (raw_0, Nm_0), (raw_1, Nm_1) = said.table[-2:]
+    if isinstance(role, BrakeRole) and role.table:
+        (raw_0, Nm_0), (raw_1, Nm_1) = role.table[-2:]
         step = (Nm_1 - Nm_0) / (raw_1 - raw_0)
-        return _with(binding, step, 0.0, "role.brake_setpoint.table", said.table)
+        return _with(binding, step, 0.0, "role.brake_setpoint.table", role.table)
     key = f"scale_{binding.kind.unit.replace('/', '_')}"
-    given = getattr(said, key, None)
-    offset = getattr(said, f"offset_{binding.kind.unit}", 0.0) * turned
-    if given is not None:
-        return _with(binding, given * at_motor * turned, offset, f"role.{name}.{key}")
+    scale = getattr(role, key, None)
+    offset = getattr(role, f"offset_{binding.kind.unit}", 0.0) * turned
+    if scale is not None:
+        return _with(binding, scale * at_motor * turned, offset, f"role.{name}.{key}")
     if name == "position":
         angle = m.encoder_polarity * 2 * math.pi / (parts.motor.encoder_counts_rev * m.ratio)
         return _with(binding, angle, 0.0, "motor.encoder_counts_rev and mechanics.ratio")

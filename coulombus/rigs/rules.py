@@ -231,10 +231,10 @@ def check(values: Table, source: Source) -> None:
 def check_roles(problems: Iterable[Problem], parts: Parts, values: Table, source: Source) -> None:
     """Note roles of an axis without an object or a place in a PDO: the problems of its `rigs.pdo_maps.allocate`."""
     for problem in problems:
-        said = values.get("role", {}).get(problem.role)
+        role = values.get("role", {}).get(problem.role)
         if problem.role == "deadman":
             source.stands(("host", "deadman"), parts.host.deadman, problem.text)
-        elif said is not None:
+        elif role is not None:
             source.say(("role", problem.role), str(problem))
         else:
             node = problem.node if problem.node in parts.devices else "motor"

@@ -79,10 +79,10 @@ def _section(lines: list[str], name: str, section: Any) -> None:
             _keys(lines, table)
         return
     nested = {key: value for key, value in section.items() if _is_section(value)}
-    own = {key: value for key, value in section.items() if key not in nested and value is not None}
-    if own or not section:
+    plain = {key: value for key, value in section.items() if key not in nested and value is not None}
+    if plain or not section:
         lines += ["", f"[{name}]"]
-        _keys(lines, own)
+        _keys(lines, plain)
     for key, value in nested.items():
         _section(lines, f"{name}.{key}", value)
 

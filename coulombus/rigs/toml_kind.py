@@ -32,7 +32,7 @@ def of_another_kind(values: Mapping[str, Any], kind: str) -> str | None:
     """Return the kind of a document that is not of `kind`, and how to pass it; None if it may be of `kind`."""
     if KINDS[kind].keys & values.keys():
         return None
-    other = next((known for known in KINDS.values() if known.keys & values.keys()), None)
+    other = next((candidate for candidate in KINDS.values() if candidate.keys & values.keys()), None)
     if other is None:
         return None
     return f"this is {other.name} ({other.given_by}); expected {KINDS[kind].name} ({KINDS[kind].given_by})"

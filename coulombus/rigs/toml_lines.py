@@ -203,11 +203,16 @@ def _blame(document: Document, lines: list[str], message: str) -> None:
 
 
 def _blame_line(
-    document: Document, lines: list[str], number: int, reason: str, header: _Statement | None, known: list[_Statement]
+    document: Document,
+    lines: list[str],
+    number: int,
+    reason: str,
+    header: _Statement | None,
+    statements: list[_Statement],
 ) -> None:
     """Report a header, with its section, or a line that is not a statement."""
     if not lines[number].strip():  # tomllib reports an unclosed quote at the file's end
-        covered = {n for s in known for n in range(s.first, s.last + 1)}
+        covered = {n for s in statements for n in range(s.first, s.last + 1)}
         junk = (n for n, line in enumerate(lines) if n not in covered and line.strip() and line.lstrip()[0] != "#")
         number = next(junk, number)
     text = lines[number].strip()
@@ -215,14 +220,14 @@ def _blame_line(
     if not (text.startswith("[") or re.match(r"[\w.-]+\]", text)):
         expected = "key = value, [section] or a comment after #"
         document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {expected}"))
-        document.broken.add((*_section(known, number), *names[:1]))
+        document.broken.add((*_section(statements, number), *names[:1]))
         _blank(lines, number, number)
         return
-    last = min((s.first for s in known if s.header and s.first > number), default=len(lines)) - 1
-    earlier = next((s for s in known if header and s.key == header.key and s.first < number), None)
+    last = min((s.first for s in statements if s.header and s.first > number), default=len(lines)) - 1
+    earlier = next((s for s in statements if header and s.key == header.key and s.first < number), None)
     if earlier:
         document.problems.append((number + 1, f"{text}: is in line {earlier.first + 1} already; expected it once"))
-        document.broken.update(s.key for s in known if number < s.first <= last)
+        document.broken.update(s.key for s in statements if number < s.first <= last)
     else:
         why = f" ({reason})" if header else ""
         document.problems.append((number + 1, f"'{_short(text)}' cannot be read{why}; expected [section]"))

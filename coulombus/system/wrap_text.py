@@ -22,8 +22,8 @@ def hanging(text: str, width: int, indent: int) -> str:
     A word, a command in backquotes and a row of options stay in one piece, even if they are wider than
     `width`: the terminal itself breaks them, and they are copied whole.
     """
-    kept = _COPIED.sub(lambda match: match[0].rstrip().replace(" ", _GLUE) + " " * match[0].endswith(" "), text)
-    lines = textwrap.fill(kept, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+    glued = _COPIED.sub(lambda match: match[0].rstrip().replace(" ", _GLUE) + " " * match[0].endswith(" "), text)
+    lines = textwrap.fill(glued, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
     return lines.replace(_GLUE, " ")
 
 

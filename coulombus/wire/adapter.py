@@ -216,7 +216,8 @@ def passes(can_id: int, hello: Hello) -> bool:
     if can_id & CAN_ERR_FLAG:
         return bool(hello.flags & Flags.ERRORS)
     return not hello.filters or any(
-        (can_id & mask == wanted & mask & ~INVERTED) != bool(wanted & INVERTED) for wanted, mask in hello.filters
+        (can_id & mask == identifier & mask & ~INVERTED) != bool(identifier & INVERTED)
+        for identifier, mask in hello.filters
     )
 
 

@@ -73,12 +73,12 @@ class CoulombusBus(can.BusABC):
             raise can.CanInitializationError("the virtual bus carries classical CAN frames only: leave fd out")
         address = _address(channel)
         flags = Flags(0)
-        for chosen, flag in (
+        for is_set, flag in (
             (receive_own_messages, Flags.OWN),
             (listen_only, Flags.LISTEN_ONLY),
             (not ignore_rx_error_frames, Flags.ERRORS),
         ):
-            if chosen:
+            if is_set:
                 flags |= flag
         try:
             self._client = Client(address, Hello(flags, _packed(can_filters)), timeout)

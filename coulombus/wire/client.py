@@ -205,8 +205,8 @@ class Client(OpenBus):
             return []
         frames = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
         if self.hello.flags & Flags.OWN:
-            own = self._own(message, flags)
-            frames = [Echo(frame) if echo else frame for frame, echo in zip(frames, own, strict=True)]
+            echoes = self._own(message, flags)
+            frames = [Echo(frame) if echo else frame for frame, echo in zip(frames, echoes, strict=True)]
         if any(frame[2] > CAN_LENGTH for frame in frames):
             good = [frame for frame in frames if frame[2] <= CAN_LENGTH]
             self.malformed += len(frames) - len(good)
@@ -283,15 +283,15 @@ class Client(OpenBus):
 
 
 def _open_socketcan(name: str) -> socket.socket:
-    made = None
+    sock = None
     try:
-        made = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        made.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        made.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
-        made.bind((name,))
+        sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        sock.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+        sock.bind((name,))
     except OSError as error:
-        if made is not None:
-            made.close()
+        if sock is not None:
+            sock.close()
         remedies = {
             errno.ENODEV: f"there is no such interface; for a virtual one: sudo ip link add {name} type vcan && "
             f"sudo ip link set {name} up",
@@ -301,4 +301,4 @@ def _open_socketcan(name: str) -> socket.socket:
         }
         text = remedies.get(error.errno or 0, error.strerror or str(error))
         raise BusUnavailable(error.errno, f"bus socketcan:{name} cannot be opened: {text}") from None
-    return made
+    return sock

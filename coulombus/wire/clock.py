@@ -40,11 +40,11 @@ def own_ns(clock: Clock, t_ns: int) -> int:
 
 
 @inlined
-def bus_ns(clock: Clock, own: int) -> int:
-    """Return the first bus time at which the local time is `own` or later."""
-    if clock.clock_on == 0 or own >= NEVER_NS:
-        return own
-    ahead, rate = own - clock.clock_at_ns, NS + clock.clock_ppb
+def bus_ns(clock: Clock, local_ns: int) -> int:
+    """Return the first bus time at which the local time is `local_ns` or later."""
+    if clock.clock_on == 0 or local_ns >= NEVER_NS:
+        return local_ns
+    ahead, rate = local_ns - clock.clock_at_ns, NS + clock.clock_ppb
     return int(clock.clock_from_ns + ahead // rate * NS - -(ahead % rate) * NS // rate)
 
 

@@ -96,11 +96,11 @@ class Block:
         """Rows of each identifier, in order."""
         if not len(self):
             return {}
-        order = np.argsort(self.can_ids, kind="stable")
-        ordered = self.can_ids[order]
+        by_identifier = np.argsort(self.can_ids, kind="stable")
+        ordered = self.can_ids[by_identifier]
         starts = [0, *(np.flatnonzero(ordered[1:] != ordered[:-1]) + 1).tolist()]
         ends = [*starts[1:], len(ordered)]
-        return {int(ordered[a]): order[a:b] for a, b in zip(starts, ends, strict=True)}
+        return {int(ordered[a]): by_identifier[a:b] for a, b in zip(starts, ends, strict=True)}
 
     @property
     def records(self) -> Records:
@@ -218,10 +218,10 @@ class BlockReader:
         lengths = frames["length"].astype(np.int64)
         words = frames["word"].astype(np.int64) & LENGTH_MASKS[np.minimum(lengths, CAN_LENGTH)]
         block = Block(np.repeat(stamps[rows], counts), frames["can_id"].astype(np.int64), lengths, words)
-        wrong = lengths > CAN_LENGTH
-        if wrong.any():
-            self._client.malformed += int(wrong.sum())
-            block = Block(*(column[~wrong] for column in (block.t_ns, block.can_ids, lengths, block.words)))
+        too_long = lengths > CAN_LENGTH
+        if too_long.any():
+            self._client.malformed += int(too_long.sum())
+            block = Block(*(column[~too_long] for column in (block.t_ns, block.can_ids, lengths, block.words)))
         return block
 
     def _stamps(self, count: int) -> Integers:

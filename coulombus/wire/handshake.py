@@ -127,8 +127,8 @@ class Hello:
         size = _HELLO.size + count * _FILTER.size
         if count > MAX_FILTERS or len(message) != size + (8 - size) % 16:
             return BusStatus.BAD_HELLO
-        known = flags & (Flags.OWN | Flags.LISTEN_ONLY | Flags.ERRORS)
-        return cls(Flags(known), tuple(_FILTER.iter_unpack(message[_HELLO.size : size])))
+        supported = flags & (Flags.OWN | Flags.LISTEN_ONLY | Flags.ERRORS)
+        return cls(Flags(supported), tuple(_FILTER.iter_unpack(message[_HELLO.size : size])))
 
 
 @dataclass(frozen=True)

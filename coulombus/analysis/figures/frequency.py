@@ -207,18 +207,18 @@ def write_frequency_figures(
     """Write fig02, fig06, fig07 and certificate as PNG and SVG; return their paths."""
     data = loci(parameters)
     paths: list[Path] = []
-    with figure(5.4, 3.6) as (made, axes):
+    with figure(5.4, 3.6) as (fig, axes):
         draw_friction(axes, parameters.friction_N, absolute.zames_falb or absolute.tsypkin)
-        paths += save(made, directory, "fig02-friction")
+        paths += save(fig, directory, "fig02-friction")
     if parameters.damping_Ns_m > 0:
-        with figure(5.4, 5.2) as (made, axes):
+        with figure(5.4, 5.2) as (fig, axes):
             draw_passive_region(axes, data, parameters.damping_Ns_m)
-            paths += save(made, directory, "fig06-passive")
-    with figure(10.4, 5.0, 1, 2) as (made, axes):
+            paths += save(fig, directory, "fig06-passive")
+    with figure(10.4, 5.0, 1, 2) as (fig, axes):
         draw_sampled_disks(axes[0], data)
         draw_zoom(axes[1], data, intersections)
-        paths += save(made, directory, "fig07-active")
-    with figure(7.0, 3.6) as (made, axes):
+        paths += save(fig, directory, "fig07-active")
+    with figure(7.0, 3.6) as (fig, axes):
         draw_certificate(axes, data, absolute, parameters.period_s)
-        paths += save(made, directory, "certificate")
+        paths += save(fig, directory, "certificate")
     return paths

@@ -21,11 +21,11 @@ __all__ = ["draw_law", "draw_literature", "write_literature_figures"]
 PARAMETERS_IN_A_LINE = 4
 
 
-def titled(given: GivenLaw) -> str:
+def titled(law: GivenLaw) -> str:
     """Return a law's name and its parameters, wrapped for a plot."""
-    texts = given.parameter_texts
+    texts = law.parameter_texts
     lines = [texts[k : k + PARAMETERS_IN_A_LINE] for k in range(0, len(texts), PARAMETERS_IN_A_LINE)]
-    return "\n".join([f"law {given.name}", *(", ".join(line) for line in lines)])
+    return "\n".join([f"law {law.name}", *(", ".join(line) for line in lines)])
 
 
 def draw_law(given: GivenLaw, driven: Driven) -> Figure:
@@ -33,9 +33,9 @@ def draw_law(given: GivenLaw, driven: Driven) -> Figure:
     title has the law's parameters.
     """
     samples = driven.samples
-    with figure(8.0, 5.2, 2, 2) as (made, panels):
+    with figure(8.0, 5.2, 2, 2) as (fig, panels):
         (motion, loop), (torque, speed) = panels
-        made.suptitle(titled(given), fontsize=9, x=0.01, ha="left")
+        fig.suptitle(titled(given), fontsize=9, x=0.01, ha="left")
         motion.plot(samples["t_s"], samples["x_rad"], color=BLACK)
         motion.set(title="motion", xlabel="time [s]", ylabel="angle [rad]")
         torque.plot(samples["t_s"], samples["torque_Nm"], color=VERMILION)
@@ -44,7 +44,7 @@ def draw_law(given: GivenLaw, driven: Driven) -> Figure:
         loop.set(title="over the angle", xlabel="angle [rad]", ylabel="torque [Nm]")
         speed.plot(samples["v_rad_s"], samples["torque_Nm"], color=VERMILION)
         speed.set(title="over the speed", xlabel="speed [rad/s]", ylabel="torque [Nm]")
-    return made
+    return fig
 
 
 MARKED = 25
@@ -66,7 +66,7 @@ def write_literature_figures(directory: str | os.PathLike[str], curves: Sequence
     """Write each curve as PNG and SVG; return the paths."""
     paths: list[Path] = []
     for curve in curves:
-        with figure(6.4, 4.2) as (made, axes):
+        with figure(6.4, 4.2) as (fig, axes):
             draw_literature(axes, curve)
-            paths += save(made, directory, curve.name)
+            paths += save(fig, directory, curve.name)
     return paths

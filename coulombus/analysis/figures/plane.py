@@ -30,17 +30,17 @@ def draw_plane(display: PlaneDisplay, friction_N: float | None = None) -> Figure
     and the force ellipse with its passive part.
     """
     pose, data = display.poses[0], display.directions(friction_N)
-    with figure(10.5, 3.9, 1, 3) as (made, panels):
+    with figure(10.5, 3.9, 1, 3) as (fig, panels):
         forces, off, ellipse = panels
         q1, q2 = (math.degrees(angle) for angle in pose.q_rad)
         level = float(np.hypot(*data.wanted_N[0]))
-        made.suptitle(
+        fig.suptitle(
             f"{display.rig}: pose {q1:.4g}, {q2:.4g} deg, friction {level:.3g} N", fontsize=10, x=0.01, ha="left"
         )
         _draw_forces(forces, data)
         _draw_off(off, data)
         _draw_ellipse(ellipse, pose)
-    return made
+    return fig
 
 
 def _draw_forces(axes: Axes, data: Directions) -> None:

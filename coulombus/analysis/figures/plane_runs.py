@@ -53,16 +53,16 @@ class Arrows:
 
 def arrows(samples: TipSamples, count: int = SECTORS) -> Arrows:
     """Return the forces at the last pass of `count` directions of motion: the latest compared sample of each sector."""
-    kept = np.flatnonzero(samples.compared)
-    angle = np.arctan2(samples.v_m_s[kept, 1], samples.v_m_s[kept, 0]) % (2 * math.pi)
+    compared = np.flatnonzero(samples.compared)
+    angle = np.arctan2(samples.v_m_s[compared, 1], samples.v_m_s[compared, 0]) % (2 * math.pi)
     sector = (angle * count / (2 * math.pi)).astype(int) % count
     middle = np.abs(angle * count / (2 * math.pi) - np.floor(angle * count / (2 * math.pi)) - 0.5)
-    chosen = []
+    latest = []
     for number in range(count):
         inside = np.flatnonzero((sector == number) & (middle < 0.1))
         if len(inside):
-            chosen.append(kept[inside[-1]])
-    rows = np.array(chosen, int)
+            latest.append(compared[inside[-1]])
+    rows = np.array(latest, int)
     return Arrows(samples.x_m[rows], samples.shown_N[rows], samples.wanted_N[rows])
 
 
@@ -70,8 +70,8 @@ def draw_plane_demo(demo: PlaneDemo) -> Figure:
     """Draw the runs of the demo in the plane, and the force ellipse at the start of the rig file."""
     pose = plane_display(demo.rig, grid=0).poses[0]
     modes = list(demo.runs)
-    with figure(3.55 * len(modes), 7.9, 2, len(modes), squeeze=False) as (made, panels):
-        made.suptitle(
+    with figure(3.55 * len(modes), 7.9, 2, len(modes), squeeze=False) as (fig, panels):
+        fig.suptitle(
             f"Friction in the plane: the rig '{demo.rig.name}', from simulated runs over its bus",
             fontsize=12,
             x=0.01,
@@ -84,7 +84,7 @@ def draw_plane_demo(demo: PlaneDemo) -> Figure:
             draw(axes, demo)
         if len(modes) > 2:
             _draw_arm(panels[1, 2], demo, pose)
-    return made
+    return fig
 
 
 def _extent(demo: PlaneDemo) -> tuple[Floats, float]:
@@ -97,8 +97,8 @@ def _extent(demo: PlaneDemo) -> tuple[Floats, float]:
 
 def _draw_path(axes: Axes, mode: str, run: TipRun, extent: tuple[Floats, float], *, first: bool) -> None:
     samples, colour, (centre, reach) = run.samples, COLOURS[mode], extent
-    kept = samples.compared
-    path = np.where(kept[:, None], samples.x_m, np.nan) * CM
+    compared = samples.compared
+    path = np.where(compared[:, None], samples.x_m, np.nan) * CM
     axes.plot(*path.T, color="0.75", lw=1.0)
     shown = arrows(samples)
     largest = float(np.hypot(*shown.wanted_N.T).max()) if len(shown.wanted_N) else 1.0

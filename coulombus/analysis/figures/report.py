@@ -114,8 +114,8 @@ def plain(value: Any) -> Any:
     null, complex as [re, im].
     """
     if is_dataclass(value) and not isinstance(value, type):
-        own = getattr(value, "as_dict", None)
-        return plain(own()) if callable(own) else {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        as_dict = getattr(value, "as_dict", None)
+        return plain(as_dict()) if callable(as_dict) else {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, np.ndarray):

@@ -49,7 +49,7 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
     rest.
     """
     data = karnopp_study() if data is None else data
-    with figure(10.5, 3.2, 1, 3) as (made, axes):
+    with figure(10.5, 3.2, 1, 3) as (fig, axes):
         slip, stick, rest = axes
         slip.axvspan(-data.band_rad_s, data.band_rad_s, color="0.87", lw=0)
         slip.plot(data.v_rad_s, data.slip_Nm, color=BLUE)
@@ -69,7 +69,7 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
         )
         rest.legend(loc="best")
         label(rest, "time [s]", "angle [mrad]", "(c) a handle at rest, without a hand")
-        return [*save(made, directory, "fig12-karnopp")]
+        return [*save(fig, directory, "fig12-karnopp")]
 
 
 def draw_identification(axes: Axes, identification: Identification, title: str) -> None:
@@ -103,9 +103,9 @@ def draw_residuals(axes: Axes, identification: Identification) -> None:
     edges = np.linspace(v.min(), v.max(), RESIDUAL_BINS + 1)
     bins = np.clip(np.searchsorted(edges, v, "right") - 1, 0, RESIDUAL_BINS - 1)
     count, total = (np.bincount(bins, weights, RESIDUAL_BINS) for weights in (None, left))
-    there = count >= FEWEST
+    filled = count >= FEWEST
     centres = 0.5 * (edges[:-1] + edges[1:])
-    axes.plot(centres[there], total[there] / count[there], "o", ms=4, color=BLUE, label="mean at a speed")
+    axes.plot(centres[filled], total[filled] / count[filled], "o", ms=4, color=BLUE, label="mean at a speed")
     axes.axhline(0.0, color=VERMILION, lw=1.0)
     axes.legend(loc="lower right")
     label(axes, "velocity [rad/s]", "residual [Nm]")
@@ -114,19 +114,19 @@ def draw_residuals(axes: Axes, identification: Identification) -> None:
 def write_identification(path: str | os.PathLike[str], identification: Identification) -> Path:
     """Write the plot of one identification, with its residuals; format by suffix."""
     path = Path(path)
-    with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (made, (axes, below)):
+    with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (fig, (axes, below)):
         draw_identification(axes, identification, f"Friction identified: {Path(identification.path).name}")
         axes.set_xlabel("")
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.25 * (high - low))
         draw_residuals(below, identification)
-        made.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+        fig.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
 
 
 def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
     """Fig. 13: friction before and after its compensation, and the residuals."""
-    with figure(9.5, 5.6, 2, 2, sharex="col", sharey="row", height_ratios=(2, 1)) as (made, axes):
+    with figure(9.5, 5.6, 2, 2, sharex="col", sharey="row", height_ratios=(2, 1)) as (fig, axes):
         whole = f"(b) compensated with {data.compensation_Nm:.4f} Nm"
         for column, identification, title in ((0, data.before, "(a) uncompensated"), (1, data.after, whole)):
             draw_identification(axes[0, column], identification, title)
@@ -136,24 +136,24 @@ def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
         axes[0, 0].set_ylim(low, high + 0.2 * (high - low))
         for place in axes[:, 1]:
             place.set_ylabel("")
-        return [*save(made, directory, "fig13-friction-compensation")]
+        return [*save(fig, directory, "fig13-friction-compensation")]
 
 
 def write_fig14(directory: Path, data: HoldStudy) -> list[Path]:
     """Fig. 14: hold and stroke, active and hybrid."""
-    with figure(11, 7.6, 3, 2, sharey="row") as (made, axes):
+    with figure(11, 7.6, 3, 2, sharey="row") as (fig, axes):
         for column, (mode, name) in enumerate((("active", "(a) active"), ("hybrid", "(b) hybrid"))):
             traces = data.traces[mode]
             draw_traces(axes[0, column], axes[1, column], traces, name)
             draw_detail(axes[2, column], traces)
-        share_labels(made, axes)
-        return [*save(made, directory, "fig14-hold-and-stroke")]
+        share_labels(fig, axes)
+        return [*save(fig, directory, "fig14-hold-and-stroke")]
 
 
 def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
     """Hybrid's stick phase in each variant: angle and set-point of a stuck handle under a fast push."""
     rows = [row for row in data.rows if row.fast is not None]
-    with figure(9.5, 5.4, 2, 2, sharex="col", height_ratios=(3, 2)) as (made, axes):
+    with figure(9.5, 5.4, 2, 2, sharex="col", height_ratios=(3, 2)) as (fig, axes):
         for column, (name, text) in enumerate((("slow", "pushed within 1 s"), ("fast", "pushed within 50 ms"))):
             angle, torque = axes[:, column]
             for i, row in enumerate(rows):
@@ -172,7 +172,7 @@ def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
             label(angle, "", "angle [mrad]", f"stuck, then {text}")
             label(torque, "time since the push began [ms]", "brake set-point [Nm]")
             torque.set_xlim(0, 1.1 * first.ramp_s * 1e3)
-        return [*save(made, directory, "stick-entry")]
+        return [*save(fig, directory, "stick-entry")]
 
 
 def draw_bus_cycle(axes: Axes, cycle: BusCycle, colour: str, dash: Any, show_s: float = 0.05) -> None:
@@ -187,7 +187,7 @@ def draw_bus_cycle(axes: Axes, cycle: BusCycle, colour: str, dash: Any, show_s: 
 def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
     """The limit cycle through the bus: traces for each hardware, and frequency over delay with the loop without a bus."""
     names = list(dict.fromkeys(cycle.hardware for cycle in cycles))
-    with figure(11, 3.4, 1, len(names) + 1) as (made, axes):
+    with figure(11, 3.4, 1, len(names) + 1) as (fig, axes):
         for place, name in zip(axes, names, strict=False):
             for i, cycle in enumerate(c for c in cycles if c.hardware == name):
                 draw_bus_cycle(place, cycle, COLOURS[i], DASHES[i])
@@ -199,11 +199,11 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
         tau = np.linspace(0, 1.2e-3, 100)
         last.plot(tau * 1e3, 1 / (4 * (1e-3 + tau)), color=BLACK, lw=0.9, label=r"$1/(4(T+\tau))$, no lag")
         for i, name in enumerate(names):
-            chosen = [c for c in cycles if c.hardware == name]
-            delay = [c.delay_s * 1e3 for c in chosen]
+            of_hardware = [c for c in cycles if c.hardware == name]
+            delay = [c.delay_s * 1e3 for c in of_hardware]
             last.plot(
                 delay,
-                [c.frequency_Hz for c in chosen],
+                [c.frequency_Hz for c in of_hardware],
                 "o^"[i % 2],
                 color=COLOURS[i],
                 ms=7,
@@ -211,7 +211,7 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
             )
             last.plot(
                 delay,
-                [c.loop_frequency_Hz for c in chosen],
+                [c.loop_frequency_Hz for c in of_hardware],
                 "+x"[i % 2],
                 color=BLACK,
                 ms=9,
@@ -220,7 +220,7 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
         last.set_ylim(0, 420)
         last.legend(loc="upper right")
         label(last, "delay from sampling to actuation [ms]", "frequency [Hz]", "limit cycle's frequency")
-        return [*save(made, directory, "through-the-bus")]
+        return [*save(fig, directory, "through-the-bus")]
 
 
 def draw_map(axes: Axes, chart: OscillationMap, title: str) -> Any:
@@ -270,7 +270,7 @@ def write_map(directory: Path, chart: OscillationMap) -> list[Path]:
         sharex=True,
         sharey=True,
         squeeze=False,
-    ) as (made, axes):
+    ) as (fig, axes):
         mesh: Any = None
         named: set[str] = set()
         for i, rate in enumerate(rates):
@@ -308,21 +308,21 @@ def write_map(directory: Path, chart: OscillationMap) -> list[Path]:
                     place.set_xlabel("")
                 if j:
                     place.set_ylabel("")
-        bar = made.colorbar(mesh, ax=axes, shrink=0.6, ticks=[0, 0.5, 1], boundaries=np.linspace(0, 1, 101))
+        bar = fig.colorbar(mesh, ax=axes, shrink=0.6, ticks=[0, 0.5, 1], boundaries=np.linspace(0, 1, 101))
         bar.set_label("share of taps after which it oscillates")
-        made.legend(loc="outside lower center", ncols=3)
+        fig.legend(loc="outside lower center", ncols=3)
         rest = ", ".join(f"{_name(name)} {value:g}" for name, value in others.items())
-        made.suptitle(
+        fig.suptitle(
             f"Oscillating (blue) against quiet (white){'; ' + rest if rest else ''}", fontsize=10, x=0.01, ha="left"
         )
-        return [*save(made, directory, "map")]
+        return [*save(fig, directory, "map")]
 
 
 def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
     """Z-width: the stiffest stable wall over its damping; lines are predictions, dashed for a
     one-sided wall; points are runs through the bus.
     """
-    with figure(5.5, 3.6) as (made, axes):
+    with figure(5.5, 3.6) as (fig, axes):
         for mode, colour in (("active", VERMILION), ("hybrid", BLUE)):
             rows = [row for row in study.rows if row.mode == mode]
             B = [row.B_Nms_rad for row in rows]
@@ -331,39 +331,39 @@ def write_wall_plane(directory: Path, study: WallPlane) -> list[Path]:
             axes.plot(B, [row.bus_Nm_rad for row in rows], "o", color=colour, label=f"{mode}, through the bus")
         axes.legend(loc="best")
         label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {study.rig}")
-        return [*save(made, directory, "z-width")]
+        return [*save(fig, directory, "z-width")]
 
 
-def write_chatter(directory: Path, found: Chatter) -> list[Path]:
+def write_chatter(directory: Path, study: Chatter) -> list[Path]:
     """The quiet friction over the rate, for three encoders, and what each remedy buys."""
     from matplotlib.ticker import LogLocator
 
-    with figure(10.5, 3.8, 1, 2) as (made, axes):
+    with figure(10.5, 3.8, 1, 2) as (fig, axes):
         curves, remedies = axes
-        for curve, colour, dashes in zip(found.curves, (VERMILION, BLUE, GREY), DASHES, strict=False):
+        for curve, colour, dashes in zip(study.curves, (VERMILION, BLUE, GREY), DASHES, strict=False):
             shown = np.isfinite(curve.friction_Nm) & (curve.friction_Nm > 0)
             curves.loglog(curve.rate_Hz[shown], curve.friction_Nm[shown], color=colour, ls=dashes, label=curve.name)
-        if 0.0 < found.quiet.friction_Nm < np.inf:
-            curves.plot(found.loop.rate_Hz, found.quiet.friction_Nm, "o", color=BLACK, label="this device")
-        if found.brake_Nm:
-            curves.axhline(found.brake_Nm, color=BLACK, ls=":", label=f"a brake of {found.brake_Nm:g} Nm")
-        curves.set_xticks(found.curves[0].rate_Hz[::2])
+        if 0.0 < study.quiet.friction_Nm < np.inf:
+            curves.plot(study.loop.rate_Hz, study.quiet.friction_Nm, "o", color=BLACK, label="this device")
+        if study.brake_Nm:
+            curves.axhline(study.brake_Nm, color=BLACK, ls=":", label=f"a brake of {study.brake_Nm:g} Nm")
+        curves.set_xticks(study.curves[0].rate_Hz[::2])
         curves.minorticks_off()
         curves.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         for axis in (curves.xaxis, curves.yaxis):
             axis.set_major_formatter("{x:g}")
         curves.legend(loc="upper left", bbox_to_anchor=(0.0, 0.93))
         label(curves, "rate [Hz]", "friction [Nm]", "below: quiet by the motor alone; above: chatter")
-        rows = [("this device", found.quiet), *found.remedies.items()][::-1]
+        rows = [("this device", study.quiet), *study.remedies.items()][::-1]
         for what, height, colour, text in (
             ("friction_Nm", 0.2, VERMILION, "friction"),
             ("stiffness_Nm_rad", -0.2, BLUE, "stiffness of a wall"),
         ):
-            now = getattr(found.quiet, what)
+            now = getattr(study.quiet, what)
             gains = [getattr(quiet, what) / now if 0.0 < now < np.inf else np.nan for _, quiet in rows]
             remedies.barh([k + height for k in range(len(rows))], gains, 0.4, color=colour, label=text)
         remedies.set_yticks(range(len(rows)), [name for name, _ in rows])
         remedies.axvline(1.0, color=GREY, lw=0.8)
         remedies.legend(loc="lower right")
         label(remedies, "times as much", "", "what a remedy buys")
-        return [*save(made, directory, "chatter")]
+        return [*save(fig, directory, "chatter")]

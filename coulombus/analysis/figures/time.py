@@ -143,14 +143,14 @@ def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> No
 
 def write_fig10(directory: str | os.PathLike[str], runs: Fig10) -> list[Path]:
     """Write fig10-active-passive as PNG and SVG; return the paths."""
-    with figure(10.4, 7.6, 3, 2, sharey="row") as (made, axes):
+    with figure(10.4, 7.6, 3, 2, sharey="row") as (fig, axes):
         pairs = ((runs.active, "(a) active force feedback"), (runs.passive, "(b) passive force feedback"))
         for column, (run, title) in enumerate(pairs):
             draw_velocity(axes[0, column], run, f"Fig. 10 {title}; stick shaded")
             draw_force(axes[1, column], run, runs.f_h_N)
             begin = runs.passive.stick_intervals_s[1][0] if len(runs.passive.stick_intervals_s) > 1 else 0.01
             draw_detail(axes[2, column], run, begin - 0.01, f"{DETAIL_S:g} s around a stop, sample by sample")
-        return list(save(made, directory, "fig10-active-passive"))
+        return list(save(fig, directory, "fig10-active-passive"))
 
 
 def write_orbit_figure(directory: str | os.PathLike[str], parameters: Parameters, motions: Orbits) -> list[Path]:
@@ -159,20 +159,20 @@ def write_orbit_figure(directory: str | os.PathLike[str], parameters: Parameters
     if not shown:
         return []
     rows = (len(shown) + 1) // 2
-    with figure(10.4, 2.2 * rows + 0.4, rows, 2, squeeze=False) as (made, axes):
+    with figure(10.4, 2.2 * rows + 0.4, rows, 2, squeeze=False) as (fig, axes):
         for place, orbit in zip(axes.flat, shown, strict=False):
             draw_orbit(place, orbit, parameters)
         for place in list(axes.flat)[len(shown) :]:
             place.set_visible(False)
-        made.suptitle(
+        fig.suptitle(
             r"Exact periodic motions of the sampled relay loop: $\hat v_k$ (stems) and the force's sign (dashed)",
             fontsize=10,
         )
-        return list(save(made, directory, "limit-cycle"))
+        return list(save(fig, directory, "limit-cycle"))
 
 
 def write_delay_figure(directory: Path, rows: Sequence[DelayRow]) -> list[Path]:
     """Write delay as PNG and SVG; return the paths."""
-    with figure(10.4, 4.2, 1, 2) as (made, axes):
+    with figure(10.4, 4.2, 1, 2) as (fig, axes):
         draw_delay(axes[0], axes[1], rows)
-        return list(save(made, directory, "delay"))
+        return list(save(fig, directory, "delay"))

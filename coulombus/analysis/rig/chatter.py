@@ -238,14 +238,14 @@ def chatter(
     for name, factors in useful:
         remedies[name] = _quiet(replace(loop, **{key: getattr(loop, key) * f for key, f in factors.items()}))
         step()
-    found = []
+    by_encoder = []
     for name, finer in encoders:
         levels = []
         for factor in RATES:
             other = replace(loop, rate_Hz=loop.rate_Hz * factor, count_rad=loop.count_rad / finer)
             levels.append(_friction(other)[0])
             step()
-        found.append(Curve(name, loop.rate_Hz * RATES, np.array(levels)))
+        by_encoder.append(Curve(name, loop.rate_Hz * RATES, np.array(levels)))
     literature = bounds(
         quiet.stiffness_Nm_rad if math.isfinite(quiet.stiffness_Nm_rad) else 0.0,
         loop.viscous_Nms_rad,
@@ -254,7 +254,7 @@ def chatter(
         loop.delay_s + loop.motor_lag_s,
         loop.count_rad,
     )
-    return Chatter(loop, quiet, remedies, literature, brake_Nm, tuple(found))
+    return Chatter(loop, quiet, remedies, literature, brake_Nm, tuple(by_encoder))
 
 
 def _quiet(loop: LoopParameters) -> Quiet:
@@ -267,8 +267,8 @@ def _friction(loop: LoopParameters) -> tuple[float, float, float]:
     one_count = inertia * loop.count_rad * loop.rate_Hz**2  # changes the speed by a count a sample, in a sample
     relay = replace(loop, relay=True, friction_level=1.0)
     low, high = 1e-5 * min(one_count, 1.0), min(1e4 * (one_count + loop.coulomb_Nm), loop.motor_limit_Nm)
-    (most, frequency_Hz), (sure, _) = _enclosed(relay, "F_d_Nm", (low, max(high, 2 * low)), (0.5, 0.0))
-    return most, min(most, sure), frequency_Hz
+    (friction_Nm, frequency_Hz), (sure, _) = _enclosed(relay, "F_d_Nm", (low, max(high, 2 * low)), (0.5, 0.0))
+    return friction_Nm, min(friction_Nm, sure), frequency_Hz
 
 
 def _wall(loop: LoopParameters) -> tuple[float, float]:
@@ -318,17 +318,17 @@ def _enclosed(
     taps = np.geomspace(slowest, max(loop.tap_rad_s, 2 * slowest), TAPS).tolist()
     levels = np.geomspace(*ends, COARSE)
     coarse = oscillation_map({name: levels}, base=loop, taps_rad_s=taps)
-    found = []
+    thresholds = []
     for share in shares:
         above = coarse.share > share
         k = int(np.argmax(above))
         if not above.any():
-            found.append((math.inf, math.nan))
+            thresholds.append((math.inf, math.nan))
         elif k == 0:
-            found.append((0.0, float(coarse.frequency_Hz[0])))
+            thresholds.append((0.0, float(coarse.frequency_Hz[0])))
         else:
             within = np.geomspace(levels[k - 1], levels[k], FINE)
             fine = oscillation_map({name: within}, base=loop, taps_rad_s=taps)
             k = max(1, int(np.argmax(fine.share > share)))
-            found.append((float(within[k - 1]), float(fine.frequency_Hz[k])))
-    return found
+            thresholds.append((float(within[k - 1]), float(fine.frequency_Hz[k])))
+    return thresholds

@@ -261,8 +261,8 @@ def falling_rows(rig: Rig, control: str, F_s_Nm: float, seed: int) -> Iterator[F
     """Yield the felt torque at each speed, in both directions, for a friction that falls from `F_s_Nm`."""
     F_d_Nm = FALL * F_s_Nm
     slides = slid(rig, F_d_Nm, SPEEDS_RAD_S, F_s_Nm=F_s_Nm, seed=seed)
-    wanted = [sign * speed for speed in SPEEDS_RAD_S for sign in (1.0, -1.0)]
-    for drawn, (speed, torque) in zip(wanted, slides, strict=True):
+    speeds = [sign * speed for speed in SPEEDS_RAD_S for sign in (1.0, -1.0)]
+    for drawn, (speed, torque) in zip(speeds, slides, strict=True):
         stands = abs(speed) < STANDS * abs(drawn)
         yield Felt(control, "falling", drawn, F_d_Nm, max(F_s_Nm, torque) if stands else torque)
 
@@ -287,8 +287,8 @@ def felt_study(rig: Rig | None = None, *, seed: int = 0, progress: Callable[[flo
     runs: list[tuple[Rig, str, tuple[float, ...]]] = [(rig, "brake", LEVELS_NM), (felt, "felt", LEVELS_NM)]
     runs += [(felt.variant(*o), f"felt, {name}", (BUDGET_NM,)) for name, o in _wrong_beliefs(rig).items()]
     rows: list[Felt] = []
-    for done, (chosen, control, levels) in enumerate(runs, 1):
-        rows += _rows(chosen, control, levels, seed)
+    for done, (variant, control, levels) in enumerate(runs, 1):
+        rows += _rows(variant, control, levels, seed)
         if progress is not None:
             progress(done / len(runs))
     return FeltStudy(rig.name, tuple(rows))

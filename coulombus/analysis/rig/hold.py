@@ -208,15 +208,15 @@ def hold_study(
     runs = [("active", axis.law.stick_entry, axis.law.brake_stick)] + [("hybrid", *v) for v in STICK_VARIANTS]
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         for done, (mode, entry, stick) in enumerate(runs, 1):
-            chosen = rig.variant(f'law.stick_entry="{entry}"', f'law.brake_stick="{stick}"')
-            recording = _recorded(chosen, mode, Path(directory), f"{mode}-{entry}-{stick}", seed)
+            variant = rig.variant(f'law.stick_entry="{entry}"', f'law.brake_stick="{stick}"')
+            recording = _recorded(variant, mode, Path(directory), f"{mode}-{entry}-{stick}", seed)
             if mode not in shown:
                 shown[mode] = traces(recording, mode)
             ramps: dict[str, Breakaway | None] = {"slow": None, "fast": None}
             F_s = axis.mode[mode].F_s_Nm
             if mode == "hybrid":
                 for name, ramp_s in (("slow", SLOW_S), ("fast", FAST_S)):
-                    pushed = _recorded(_pushed(chosen, ramp_s), mode, Path(directory), f"{entry}-{stick}-{name}", seed)
+                    pushed = _recorded(_pushed(variant, ramp_s), mode, Path(directory), f"{entry}-{stick}-{name}", seed)
                     ramps[name] = breakaway(pushed, F_s, ramp_s)
             figures = measure(recording)
             rows.append(

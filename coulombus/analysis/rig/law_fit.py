@@ -146,10 +146,10 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
         if alone.misfit is None:
             return alone
         return min(alone, fit_law(name, data, overrides, rig=True), key=lambda fit: fit.residual_rms_Nm)
-    given = given_law(name, overrides)
-    if given.declaration is None:
+    law = given_law(name, overrides)
+    if law.declaration is None:
         raise LawError(f"law {name!r} names no parameters: there is nothing to identify (docs/laws.md)")
-    if given.declaration.uses_mode_keys:
+    if law.declaration.uses_mode_keys:
         raise LawError(
             f"law {name!r} has its parameters in [mode.*]; `coulombus identify` without --law fits Coulomb, viscous and "
             "Stribeck friction"
@@ -157,10 +157,10 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
     count = sum(len(stretch.t_s) for stretch in data)
     if count < LEAST_SAMPLES:
         raise IdentifyError(f"{count} samples; expected at least {LEAST_SAMPLES} in which the law is felt")
-    held = {override.partition("=")[0].strip().removeprefix(f"law.{given.declaration.name}.") for override in overrides}
+    held = {override.partition("=")[0].strip().removeprefix(f"law.{law.declaration.name}.") for override in overrides}
     if all(float(np.ptp(stretch.x_rad)) == 0.0 for stretch in data):
         raise IdentifyError("the handle does not move: no law can be told from that; record strokes, to and fro")
-    search = Search(given, given.declaration, held, data)
+    search = Search(law, law.declaration, held, data)
     if not search.names:
         raise IdentifyError(f"law {name!r}: every parameter is held by --set: there is nothing to identify")
     measured = TorqueSamples(data, rig)
@@ -179,8 +179,8 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
 
 def _as_likely(search: Search, minima: Sequence[Any], samples: int) -> Floats:
     """Return the parameters of all minima that the data cannot tell from the least one."""
-    most = minima[0].cost * (1.0 + float(chi2.ppf(0.95, len(search.names))) / samples)
-    return np.array([search.values(fit.x) for fit in minima if fit.cost <= most])
+    cost_limit = minima[0].cost * (1.0 + float(chi2.ppf(0.95, len(search.names))) / samples)
+    return np.array([search.values(fit.x) for fit in minima if fit.cost <= cost_limit])
 
 
 def _fit_of(search: Search, best: Any, minima: Sequence[Any], motion: Motion, measured: TorqueSamples) -> LawFit:

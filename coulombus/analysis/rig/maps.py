@@ -89,7 +89,7 @@ class LoopParameters:
         """Return the loop of `axis` in `mode`: its plant, hand, law, encoder, set-point's
         resolution; next_sync's delay (`bus.delay_cycles`).
         """
-        (plant, hand), chosen = axis.simulation, axis.mode[mode]
+        (plant, hand), settings = axis.simulation, axis.mode[mode]
         scale = {signal.name: abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals}
         values: dict[str, Any] = {
             "inertia_kg_m2": plant.inertia_kg_m2,
@@ -104,11 +104,11 @@ class LoopParameters:
             "motor_limit_Nm": motor_limit_Nm(axis, mode),
             "torque_step_Nm": scale["motor.target_torque_Nm"],
             "count_rad": scale["motor.position_rad"],
-            "K_p_Nm_rad": chosen.K_p_Nm_rad,
-            "F_s_Nm": chosen.F_s_Nm,
-            "F_d_Nm": chosen.F_d_Nm,
+            "K_p_Nm_rad": settings.K_p_Nm_rad,
+            "F_s_Nm": settings.F_s_Nm,
+            "F_d_Nm": settings.F_d_Nm,
             "velocity_band_counts": float(axis.law.velocity_band_counts),
-            "compensation_Nm": chosen.compensation * axis.mechanics.friction_Nm,
+            "compensation_Nm": settings.compensation * axis.mechanics.friction_Nm,
         }
         return cls(**(values | changes))
 
@@ -218,10 +218,10 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
     for name, value in values.items():
         column = np.broadcast_to(np.asarray(value, np.float64), shape).ravel()
         low = 0.0 if name not in BOOLEAN_OR_SIGNED else -np.inf
-        wrong = ~np.isfinite(column) | (column < low) | ((column == 0) if name in POSITIVE else False)
-        if np.any(wrong):
+        invalid = ~np.isfinite(column) | (column < low) | ((column == 0) if name in POSITIVE else False)
+        if np.any(invalid):
             domain = "a finite number above 0" if name in POSITIVE else "a finite number of at least 0"
-            raise ValueError(f"{name} = {column[wrong][0]!r}: expected {domain}")
+            raise ValueError(f"{name} = {column[invalid][0]!r}: expected {domain}")
         flat[name] = column
     cycles = flat["delay_s"] * flat["rate_Hz"]
     if np.any(cycles > MOST_DELAY_CYCLES):
@@ -358,10 +358,10 @@ def oscillation_map(
     grid = {
         name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in (DEFAULT_AXES if axes is None else axes).items()
     }
-    known = [f.name for f in fields(LoopParameters)]
+    names = [f.name for f in fields(LoopParameters)]
     for name, column in grid.items():
-        if name not in known or name == "tap_rad_s":
-            raise ValueError(f"no axis {name!r}; there is {', '.join(n for n in known if n != 'tap_rad_s')}")
+        if name not in names or name == "tap_rad_s":
+            raise ValueError(f"no axis {name!r}; there is {', '.join(n for n in names if n != 'tap_rad_s')}")
         if column.ndim != 1 or not len(column):
             raise ValueError(f"axis {name}: expected one or more values in a row")
     if not len(taps_rad_s):

@@ -128,26 +128,26 @@ class PlaneMap:
         rows = [pose.as_dict() for pose in self.poses]
         columns: dict[str, list[float]] = {name: [row[name] for row in rows] for name in names}
         columns["hybrid_N"] = [pose.largest_N["hybrid"] for pose in self.poses]
-        kept = ("q_rad", "x_m", "condition", "share_wrong", "worst_angle_deg", "motor_power_per_cv")
+        keys = ("q_rad", "x_m", "condition", "share_wrong", "worst_angle_deg", "motor_power_per_cv")
         ranges = {
             name: {"least": min(values), "median": float(np.median(values)), "most": max(values)}
             for name, values in columns.items()
             if values
         }
         short = [
-            {name: row[name] for name in kept} | {"hybrid_N": pose.largest_N["hybrid"]}
+            {name: row[name] for name in keys} | {"hybrid_N": pose.largest_N["hybrid"]}
             for row, pose in zip(rows, self.poses, strict=True)
         ]
         return {"tried": self.tried, "allowed": len(rows), "ranges": ranges, "rows": short}
 
     def lines(self) -> list[str]:
         """Return the ranges as text."""
-        found = self.as_dict()
+        figures = self.as_dict()
         if not self.poses:
             return [f"workspace: none of {self.tried} poses is allowed by [kinematics]"]
-        spelled = {name: "{least:.3g} to {most:.3g}".format(**value) for name, value in found["ranges"].items()}
+        spelled = {name: "{least:.3g} to {most:.3g}".format(**value) for name, value in figures["ranges"].items()}
         return [
-            f"workspace: {found['allowed']} of {self.tried} poses are allowed by [kinematics]",
+            f"workspace: {figures['allowed']} of {self.tried} poses are allowed by [kinematics]",
             f"  share of wrong directions {spelled['share_wrong']}, worst angle {spelled['worst_angle_deg']} deg",
             f"  motors' power {spelled['motor_power_per_cv']} c |v|, largest friction {spelled['hybrid_N']} N (hybrid)",
         ]
@@ -223,10 +223,10 @@ def rig_levels(rig: Rig, mode: str = "hybrid") -> Levels:
     """Return the torques available to the law at each joint: for a motor, its limit in `mode` minus the compensation."""
     brake, motor = [], []
     for axis in rig.axes:
-        chosen = axis.mode[mode]
-        limit = min(chosen.motor_limit_Nm, axis.motor.rated_torque_Nm * axis.mechanics.ratio)
+        settings = axis.mode[mode]
+        limit = min(settings.motor_limit_Nm, axis.motor.rated_torque_Nm * axis.mechanics.ratio)
         brake.append(min(axis.limits.brake_torque_Nm, axis.brake.rated_torque_Nm))
-        motor.append(max(limit - chosen.compensation * axis.mechanics.friction_Nm, 0.0))
+        motor.append(max(limit - settings.compensation * axis.mechanics.friction_Nm, 0.0))
     return Levels((brake[0], brake[1]), (motor[0], motor[1]))
 
 
@@ -254,15 +254,15 @@ def plane_display(
         pose = mechanism.pose(*q)
         if not (np.isfinite(pose["x_m"]).all() and np.isfinite(pose["jacobian"]).all()):
             return None
-        jacobian, found, x = pose["jacobian"].copy(), condition(pose), pose["x_m"].tolist()
+        jacobian, pose_condition, x = pose["jacobian"].copy(), condition(pose), pose["x_m"].tolist()
         passive = passive_display(jacobian)
         singular = not math.isfinite(passive.motor_power_per_cv)
         lengths = np.hypot(jacobian[0], jacobian[1])
         return PosedDisplay(
             q,
             (x[0], x[1]),
-            found,
-            found >= kinematics.least_condition and kinematics.contains(x[0], x[1]),
+            pose_condition,
+            pose_condition >= kinematics.least_condition and kinematics.contains(x[0], x[1]),
             jacobian,
             passive,
             None if singular else force_ellipse(jacobian),

@@ -131,8 +131,8 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
     answers = answers[answers > syncs[0]]
     sampled = np.searchsorted(syncs, answers) - 1  # the SYNC before each response
     if pdo.layout.transmission <= 240:
-        known = sampled + 1 < len(syncs)
-        delays = syncs[sampled[known] + 1] - syncs[sampled[known]]
+        followed = sampled + 1 < len(syncs)
+        delays = syncs[sampled[followed] + 1] - syncs[sampled[followed]]
     else:
         delays = answers - syncs[sampled]
     delays = delays + (recording.rig.bus.cycles_to_actuation - 1) * recording.rig.bus.period_ns
@@ -201,12 +201,12 @@ def bus_cycle(
 
 def with_bench_hardware(rig: Rig, bench: Rig | None = None) -> Rig:
     """Return `rig` with the encoder resolution at the handle and the motor lag of the bench rig."""
-    there = (load_rig("bench") if bench is None else bench).one_axis().simulation.plant
-    counts = round(there.encoder_counts_rev * there.ratio / rig.one_axis().simulation.plant.ratio)
+    bench_plant = (load_rig("bench") if bench is None else bench).one_axis().simulation.plant
+    counts = round(bench_plant.encoder_counts_rev * bench_plant.ratio / rig.one_axis().simulation.plant.ratio)
     return rig.variant(
         f"plant.encoder_counts_rev={counts}",
         f"motor.encoder_counts_rev={counts}",
-        f"plant.motor_lag_s={there.motor_lag_s}",
+        f"plant.motor_lag_s={bench_plant.motor_lag_s}",
         "limits.sign_check_counts=20",
     )
 

@@ -164,13 +164,13 @@ def analytic(function: LawFunction, a: float, frequency_Hz: float, law: LawParam
     ParameterError
         none is known; `numeric` works for any law
     """
-    known = ANALYTIC.get(function)
-    if known is None:
+    psi = ANALYTIC.get(function)
+    if psi is None:
         name = getattr(function, "__name__", str(function))
         raise ParameterError(
             f"law {name!r} has no analytic describing function here; coulombus.analysis.theory.describing.numeric does any law"
         )
-    return known(a, frequency_Hz, law)
+    return psi(a, frequency_Hz, law)
 
 
 def numeric(

@@ -224,10 +224,10 @@ def _lugre_benchmarks() -> Iterator[Benchmark]:
     law = _lugre()
     pulled = continuous(lambda t: SPRING * PULL * t, 40.0, spring=SPRING)
     expected = float(np.diff(_begins(pulled.t_s, pulled.v)).mean())
-    period, most = stick_slip(law)
+    period, largest_N = stick_slip(law)
     yield Benchmark("lugre", "stick-slip, period (1995, Fig. 6)", "s", expected, "Radau", period, 1e-3)
     expected = float(pulled.friction.max())
-    yield Benchmark("lugre", "stick-slip, largest friction", "N", expected, "Radau", most, 2e-3)
+    yield Benchmark("lugre", "stick-slip, largest friction", "N", expected, "Radau", largest_N, 2e-3)
     for rate in (1.0, 5.0, 20.0, 50.0):
         ramped = continuous(lambda t, rate=rate: rate * t, 2.5 / rate)  # type: ignore[misc]
         breakaway_N = break_away(law, rate)

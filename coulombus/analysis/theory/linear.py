@@ -220,8 +220,8 @@ def _at_infinity(parameters: Parameters) -> Floats:
     above[lag : lag + len(operator.denominator)] = operator.denominator
     series = np.zeros(TAIL_TERMS)
     for i in range(TAIL_TERMS):
-        known = min(i, len(below) - 1)
-        series[i] = (above[i] - below[1 : known + 1] @ series[i - known : i][::-1]) / below[0]
+        terms = min(i, len(below) - 1)
+        series[i] = (above[i] - below[1 : terms + 1] @ series[i - terms : i][::-1]) / below[0]
     return series
 
 

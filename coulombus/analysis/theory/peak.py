@@ -134,8 +134,8 @@ def between_samples(parameters: Parameters, signs: Floats) -> Between:
         for i in np.flatnonzero(rate[:-1] * rate[1:] < 0):
 
             def at(h: float, start: Floats = course[i], force: float = force) -> Floats:
-                there = _step(A, B, h)
-                state: Floats = there[:n, :n] @ start + there[:n, n] * force
+                transition = _step(A, B, h)
+                state: Floats = transition[:n, :n] @ start + transition[:n, n] * force
                 return state
 
             h = brentq(lambda h: float(A[0] @ at(h) + B[0] * force), 0.0, duration / LOOKS)  # noqa: B023

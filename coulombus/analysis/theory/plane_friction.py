@@ -227,8 +227,8 @@ def directions(jacobian: Floats, friction_N: float, levels: Levels, count: int =
         raise ValueError("the pose is singular: no speeds of the joints move the tip in every direction")
     angle: Floats = 2 * math.pi * np.arange(count) / count
     unit = np.stack((np.cos(angle), np.sin(angle)))
-    wanted = -friction_N * unit
-    torque, speed = jacobian.T @ wanted, np.linalg.solve(jacobian, unit)
+    force_N = -friction_N * unit
+    torque, speed = jacobian.T @ force_N, np.linalg.solve(jacobian, unit)
     brake_Nm, motor_Nm = np.array(levels.brake_Nm, np.float64)[:, None], np.array(levels.motor_Nm, np.float64)[:, None]
     brake = -np.sign(speed) * np.clip(-torque * np.sign(speed), 0.0, brake_Nm)
     rest = np.clip(torque - brake, -motor_Nm, motor_Nm)
@@ -236,7 +236,7 @@ def directions(jacobian: Floats, friction_N: float, levels: Levels, count: int =
     power = np.maximum(rest * speed, 0.0).sum(axis=0) / friction_N
     shown = (np.clip(torque, -motor_Nm, motor_Nm), brake, brake + rest)
     active, passive, hybrid = (np.asarray((tip @ torques).T, np.float64) for torques in shown)
-    return Directions(angle, wanted.T, active, passive, hybrid, power)
+    return Directions(angle, force_N.T, active, passive, hybrid, power)
 
 
 OVER = 1.2
@@ -284,14 +284,14 @@ def stuck_hands(jacobian: Floats) -> StuckHands | None:
     columns = passive_display(jacobian).columns_angle_rad
     if min(columns, math.pi - columns) < SINGULAR_RAD:
         return None
-    wrong = passive_display(jacobian).share_wrong
+    share_wrong = passive_display(jacobian).share_wrong
     beta = math.acos(1.0 / OVER)
     held = max(0.0, columns - 2 * beta) + max(0.0, math.pi - columns - 2 * beta)
     return StuckHands(
-        0.5 + 0.25 * wrong**2,
-        0.5 * (1.0 - wrong),
-        0.5 * (1.0 + wrong),
-        wrong,
+        0.5 + 0.25 * share_wrong**2,
+        0.5 * (1.0 - share_wrong),
+        0.5 * (1.0 + share_wrong),
+        share_wrong,
         held / math.pi,
         1.0 / min(math.cos(columns / 2), math.sin(columns / 2)),
     )

@@ -196,9 +196,9 @@ def settled_orbit(
             state[i] = phi[i] @ state[i] + gamma[i] * command[i]  # of the last cycle
         size = math.hypot(*estimate)
         command = -loop.friction_N * estimate / size if size > 0.0 else np.zeros(2)
-    kept = velocity[SETTLE:]
-    kept = kept - kept.mean(axis=0)
-    spectrum = (np.abs(np.fft.rfft(kept * np.hanning(KEPT)[:, None], axis=0)) ** 2).sum(axis=1)
+    settled = velocity[SETTLE:]
+    settled = settled - settled.mean(axis=0)
+    spectrum = (np.abs(np.fft.rfft(settled * np.hanning(KEPT)[:, None], axis=0)) ** 2).sum(axis=1)
     frequency = float(np.argmax(spectrum)) / (KEPT * loop.period_s)
-    first, second = np.sqrt(2 * (kept**2).mean(axis=0)).tolist()
+    first, second = np.sqrt(2 * (settled**2).mean(axis=0)).tolist()
     return SettledOrbit(frequency, (first, second))

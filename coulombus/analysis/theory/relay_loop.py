@@ -66,7 +66,7 @@ def relay_steps(loop: Loop, y: Floats, x_before: float, steps: int, traces: Trac
     n = len(y)
     ring = np.zeros(whole + 2)
     after = np.empty(n)
-    kept = len(force)
+    count = len(force)
     free = len(work) == 0
     keep_path = len(path) > 0
     before = np.rint(x_before / resolution) * resolution if resolution > 0.0 else x_before
@@ -97,7 +97,7 @@ def relay_steps(loop: Loop, y: Floats, x_before: float, steps: int, traces: Trac
         if keep_path:
             for row in range(n):
                 path[k, row] = y[row]
-        place = k - (steps - kept)
+        place = k - (steps - count)
         if place >= 0:
             estimate[place] = v
             force[place] = late
@@ -141,11 +141,11 @@ def _loop(linear: SampledPlant, p: Parameters) -> Loop:
     )
 
 
-def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, kept: int) -> SteadyMotion:
-    """Run the loop without an operator's force from the state `start` and return its last `kept`
+def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, count: int) -> SteadyMotion:
+    """Run the loop without an operator's force from the state `start` and return its last `count`
     samples.
     """
-    estimate, force = np.empty(kept), np.empty(kept)
+    estimate, force = np.empty(count), np.empty(count)
     y = start.copy()
     before = start[0] - start[1] * parameters.period_s
     relay_steps(_loop(linear, parameters), y, before, steps, Traces(_NONE, _NONE, estimate, force))
@@ -156,8 +156,8 @@ def settle(parameters: Parameters, *, starts: int, seconds: float, kept_s: float
     """Run `starts` seeded random starts for `seconds` and return the last `kept_s` of each."""
     linear = sample(parameters)
     steps = round(seconds / parameters.period_s)
-    kept = min(steps, round(kept_s / parameters.period_s))
-    return [steady(linear, parameters, start, steps, kept) for start in random_starts(parameters, starts, seed)]
+    count = min(steps, round(kept_s / parameters.period_s))
+    return [steady(linear, parameters, start, steps, count) for start in random_starts(parameters, starts, seed)]
 
 
 def forced(linear: SampledPlant, parameters: Parameters, work: Floats) -> tuple[Floats, Floats, Floats]:

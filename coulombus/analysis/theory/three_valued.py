@@ -60,8 +60,8 @@ def says(counts: npt.NDArray[np.float64], u: Floats, zero: Zero) -> Floats:
     if zero == "zero":
         return value
     other = np.ones_like(value) if zero == "plus" else np.roll(np.broadcast_to(u, value.shape), 1, axis=-1)
-    chosen: Floats = np.where(value == 0.0, other, value)
-    return chosen
+    sign: Floats = np.where(value == 0.0, other, value)
+    return sign
 
 
 def three_valued_orbits(

@@ -105,17 +105,17 @@ def cosine_polynomial(N: Floats, D: Floats, taps: Floats, slope: float) -> Float
 
 def positive(p: Floats) -> Positive:
     """Prove that sum p_j cos(j theta) > 0 for every theta, or return where the proof fails."""
-    order = np.arange(len(p))
-    lipschitz = float(order @ np.abs(p))
-    curvature = float(order**2 @ np.abs(p))
+    harmonic = np.arange(len(p))
+    lipschitz = float(harmonic @ np.abs(p))
+    curvature = float(harmonic**2 @ np.abs(p))
     allowance = ROUNDING * float(np.abs(p).sum())
     edges = np.linspace(0.0, np.pi, FIRST + 1)
     left, right = edges[:-1], edges[1:]
     pieces = 0
     for _ in range(DEEPEST):
         middle, r = 0.5 * (left + right), 0.5 * (right - left)
-        turned = np.outer(middle, order)
-        value, rate = np.cos(turned) @ p, -np.sin(turned) @ (order * p)
+        turned = np.outer(middle, harmonic)
+        value, rate = np.cos(turned) @ p, -np.sin(turned) @ (harmonic * p)
         if np.any(value <= allowance):
             return Positive(False, lipschitz, pieces, float(middle[np.argmin(value)]))
         open_ = value - r * np.abs(rate) - 0.5 * r * r * curvature <= allowance

@@ -20,8 +20,8 @@ COMMUNICATION = 0x10
 @case("5.1", defaults=True)
 def identifier(unit: Unit) -> None:
     """Read 1014h and compare it with the EDS, or with 80h + node-id without a default."""
-    said = unit.default(unit.need(0x1014))
-    value, expected = unit.number(0x1014), said if isinstance(said, int) else CobId.EMCY + unit.node_id
+    default = unit.default(unit.need(0x1014))
+    value, expected = unit.number(0x1014), default if isinstance(default, int) else CobId.EMCY + unit.node_id
     if value != expected:
         judge_deviations(unit, {(0x1014, 0): f"1014h is {value:08X}h, expected {expected:08X}h"})
 

@@ -34,9 +34,9 @@ REFUSALS = (1, 0xFF)
 
 def address(unit: Unit) -> list[int]:
     """Return the LSS address, 1018h:01 to :04, of a device with LSS in its EDS."""
-    said = {key.lower(): value for key, value in unit.description.info.items()}.get("lss_supported", "0").strip()
+    entry = {key.lower(): value for key, value in unit.description.info.items()}.get("lss_supported", "0").strip()
     try:
-        supported = int(said, 0)
+        supported = int(entry, 0)
     except ValueError:
         supported = 0
     if not supported:
@@ -168,9 +168,9 @@ def identify(unit: Unit) -> None:
         ask = optional if low == 0 else answer
         ask(unit, S.IDENTIFY_ANSWER, "identify remote slave")
     for part, value in ((4, serial), (2, revision)):  # next to the device's own, on either side
-        for wrong in {min(value + 1, 0xFFFFFFFF), max(value - 1, 0)} - {value}:
+        for other in {min(value + 1, 0xFFFFFFFF), max(value - 1, 0)} - {value}:
             limits = [vendor, product, revision, revision, serial, serial]
-            limits[part : part + 2] = wrong, wrong
+            limits[part : part + 2] = other, other
             unit.flush()
             words(unit, IDENTIFY, limits)
             silence(unit, f"identify remote slave for another {PARTS[3 if part == 4 else 2]}")

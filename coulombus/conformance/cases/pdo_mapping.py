@@ -94,16 +94,16 @@ def _check_entry(unit: Unit, pdo: str, word: int, access: tuple[str, ...], *, du
 def other_map(unit: Unit, direction: int, k: int) -> list[int]:
     """Return a valid map other than the present one."""
     present = words_of(unit, direction, k)
-    chosen: list[int] = []
+    words: list[int] = []
     for variable in sorted(mappable(unit, direction), key=lambda v: v.bits, reverse=True):
-        bits = sum(word & 0xFF for word in chosen) + variable.bits
-        if variable.bits >= 8 and bits <= 64 and unit.has(direction + 0x200 + k, len(chosen) + 1) and len(chosen) < 3:
-            chosen.append(mapped(variable))
-    if chosen == present:
-        chosen = chosen[::-1] if len(chosen) > 1 and chosen[::-1] != present else chosen[:-1]
-    if not chosen:
+        bits = sum(word & 0xFF for word in words) + variable.bits
+        if variable.bits >= 8 and bits <= 64 and unit.has(direction + 0x200 + k, len(words) + 1) and len(words) < 3:
+            words.append(mapped(variable))
+    if words == present:
+        words = words[::-1] if len(words) > 1 and words[::-1] != present else words[:-1]
+    if not words:
         raise NotApplicable(f"the EDS has not enough objects that can be mapped into a {_NAME[direction]}")
-    return chosen
+    return words
 
 
 @case("3.22")

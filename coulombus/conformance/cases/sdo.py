@@ -43,10 +43,10 @@ def device_type(unit: Unit) -> None:
     data = unit.read(0x1000, 0)
     if len(data) != 4:
         raise CaseFailed(f"1000h:00 has {len(data)} bytes, expected 4")
-    said = unit.default(unit.variable(0x1000)) if unit.has(0x1000) else None
+    default = unit.default(unit.variable(0x1000)) if unit.has(0x1000) else None
     value = int.from_bytes(data, "little")
-    if isinstance(said, int) and value != said:
-        raise CaseFailed(f"1000h:00 is {value:08X}h; the EDS says {said:08X}h")
+    if isinstance(default, int) and value != default:
+        raise CaseFailed(f"1000h:00 is {value:08X}h; the EDS says {default:08X}h")
 
 
 @case("2.2")
@@ -57,9 +57,9 @@ def write_back(unit: Unit) -> str:
     variables = [v for v in unit.variables(0x1000, 0x1FFF) if keeps(v)]
     if not variables:
         raise NotApplicable("the EDS has no such entry")
-    chosen = unit.random.sample(variables, min(12, len(variables)))
+    sample = unit.random.sample(variables, min(12, len(variables)))
     remarks: list[str] = []
-    for v in chosen:
+    for v in sample:
         try:
             value = unit.read(v.index, v.subindex)
             unit.put(v.index, v.subindex, value)
@@ -69,7 +69,7 @@ def write_back(unit: Unit) -> str:
             continue
         if remark := keeps_own_value(unit, v, value):
             remarks.append(remark)
-    return ", ".join((*(where(v.index, v.subindex) for v in chosen), *remarks))
+    return ", ".join((*(where(v.index, v.subindex) for v in sample), *remarks))
 
 
 @case("2.3")

@@ -109,9 +109,9 @@ def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | 
     need_block(unit)
     variable, content = long_object(unit, at_least)
     index, subindex = variable.index, variable.subindex
-    crc, said = unit.sdo.initiate_block_upload(index, subindex, crc=True, size=size)
+    crc, size_said = unit.sdo.initiate_block_upload(index, subindex, crc=True, size=size)
     unit.sdo.send(b"\xa3" + bytes(7))
-    return index, subindex, content, said, crc
+    return index, subindex, content, size_said, crc
 
 
 def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
@@ -123,7 +123,7 @@ def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
 @case("B.1")
 def repetition(unit: Unit) -> None:
     """Acknowledge one segment less than received: the last one is repeated as segment 1 of the next block."""
-    index, subindex, content, said, crc = begin(unit, 15, 2)
+    index, subindex, content, size_said, crc = begin(unit, 15, 2)
     block, _ = unit.sdo.read_block(index, subindex, 2)
     segments = block[:1]
     unit.sdo.acknowledge(1, 127)
@@ -132,13 +132,13 @@ def repetition(unit: Unit) -> None:
         raise CaseFailed(f"{where(index, subindex)}: the last segment is not marked")
     segments += block
     unit.sdo.acknowledge(len(block), 127)
-    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=size_said), content)
 
 
 @case("B.2")
 def changing_size(unit: Unit) -> None:
     """Request blocks of 1 segment, then 2, then 127: each block has this size."""
-    index, subindex, content, said, crc = begin(unit, 15, 1)
+    index, subindex, content, size_said, crc = begin(unit, 15, 1)
     segments: list[bytes] = []
     last = False
     for size, following in ((1, 2), (2, 127), (127, 127)):
@@ -147,7 +147,7 @@ def changing_size(unit: Unit) -> None:
         block, last = unit.sdo.read_block(index, subindex, size)
         segments += block
         unit.sdo.acknowledge(len(block), following)
-    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=size_said), content)
 
 
 @case("B.3")

@@ -72,9 +72,9 @@ def wrong_signature(unit: Unit, index: int) -> str:
     """Write wrong signatures: refused, and nothing is stored."""
     unit.need_ability(index)
     place = change(unit) if index == STORE else None
-    wrong = (b"SAVE", b"evas", b"load") if index == STORE else (b"LOAD", b"daol", b"save")
+    signatures = (b"SAVE", b"evas", b"load") if index == STORE else (b"LOAD", b"daol", b"save")
     unit.stored = unit.dirty = True
-    codes = [f"{unit.refused(index, 1, signature):08X}h" for signature in wrong]
+    codes = [f"{unit.refused(index, 1, signature):08X}h" for signature in signatures]
     if place is not None:
         unit.reset()
         is_now(unit, place[0], place[1], place[2], "after a reset, though nothing was stored")

@@ -81,9 +81,9 @@ class DescribedDevice:
 
         One bit if the file has no value from 0 to 64.
         """
-        said = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
+        entry = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
         try:
-            bits = int(said, 0)
+            bits = int(entry, 0)
         except ValueError:
             return 1
         return bits if 0 <= bits <= 64 else 1

@@ -47,8 +47,8 @@ def _room(unit: Unit, variable: Variable, before: bytes) -> int:
     The string no longer has them on return.
     """
     index, subindex = variable.index, variable.subindex
-    own: tuple[int, ...] = (len(before),) if SHORTEST <= len(before) < len(TEXT) else ()
-    for length in (len(TEXT), *own, 57, 29, SHORTEST):
+    as_before: tuple[int, ...] = (len(before),) if SHORTEST <= len(before) < len(TEXT) else ()
+    for length in (len(TEXT), *as_before, 57, 29, SHORTEST):
         try:
             unit.sdo.download_segmented(index, subindex, TEXT[:length])
         except TransferAborted as abort:

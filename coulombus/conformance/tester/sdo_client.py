@@ -98,10 +98,10 @@ class SdoClient:
         """Read an object, expedited or segmented as the server chooses."""
         return self.upload_as(index, subindex)[0]
 
-    def upload_up_to(self, index: int, subindex: int, most: int) -> bytes | None:
-        """Read an object; return None if it has more than `most` bytes."""
+    def upload_up_to(self, index: int, subindex: int, largest: int) -> bytes | None:
+        """Read an object; return None if it has more than `largest` bytes."""
         answer = self.initiate_upload(index, subindex)
-        return self._go_on(answer, index, subindex, most)[0]
+        return self._go_on(answer, index, subindex, largest)[0]
 
     def upload_as(self, index: int, subindex: int) -> tuple[bytes, bool]:
         """Read an object; return its bytes and whether the transfer was segmented."""
@@ -110,8 +110,8 @@ class SdoClient:
             raise CaseFailed(f"upload of {where(index, subindex)} has no end")
         return data, segmented
 
-    def _go_on(self, answer: bytes, index: int, subindex: int, most: int) -> tuple[bytes | None, bool]:
-        """Continue a begun upload to its end; or abort it if it has more than `most` bytes, and return None.
+    def _go_on(self, answer: bytes, index: int, subindex: int, largest: int) -> tuple[bytes | None, bool]:
+        """Continue a begun upload to its end; or abort it if it has more than `largest` bytes, and return None.
 
         It is never begun again before its end: a server may abort either of the two.
         """
@@ -120,7 +120,7 @@ class SdoClient:
         size_said = int.from_bytes(answer[4:], "little") if answer[0] & 0x01 else None
         data, toggle, last = b"", 0, False
         while not last:
-            if max(size_said or 0, len(data)) > most:
+            if max(size_said or 0, len(data)) > largest:
                 self.abort(index, subindex)
                 return None, True
             segment, last = self.upload_segment(index, subindex, toggle)
@@ -240,11 +240,13 @@ class SdoClient:
         unused = answer[0] >> 2 & 7
         data = b"".join(segments)
         data = data[: len(data) - unused]
-        own = int.from_bytes(answer[1:3], "little")
-        if crc and own != crc16(data):
-            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {own:04X}h, expected {crc16(data):04X}h")
-        if not crc and own:
-            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {own:04X}h where none was agreed")
+        checksum = int.from_bytes(answer[1:3], "little")
+        if crc and checksum != crc16(data):
+            raise CaseFailed(
+                f"block upload of {where(index, subindex)}: CRC {checksum:04X}h, expected {crc16(data):04X}h"
+            )
+        if not crc and checksum:
+            raise CaseFailed(f"block upload of {where(index, subindex)}: CRC {checksum:04X}h where none was agreed")
         self.send(b"\xa1" + bytes(7))
         if said is not None and said != len(data):
             raise CaseFailed(f"block upload of {where(index, subindex)}: {said} bytes were said, {len(data)} came")
@@ -255,7 +257,7 @@ class SdoClient:
 
         Return its bytes and whether a CRC was agreed and correct.
         """
-        has_crc, said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
+        has_crc, size_said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
         self.send(b"\xa3" + bytes(7))
         segments: list[bytes] = []
         last = False
@@ -267,7 +269,7 @@ class SdoClient:
                 self.abort(index, subindex)
                 raise CaseFailed(f"block upload of {where(index, subindex)} has no end")
         agreed = crc and has_crc
-        return self.end_block_upload(index, subindex, segments, crc=agreed, said=said), agreed
+        return self.end_block_upload(index, subindex, segments, crc=agreed, said=size_said), agreed
 
     def initiate_block_download(
         self, index: int, subindex: int, size: int, *, crc: bool, optional: tuple[int, ...] = ()

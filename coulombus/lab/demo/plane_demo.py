@@ -100,11 +100,11 @@ def directional_force(samples: TipSamples, count: int = DIRECTIONS) -> npt.NDArr
 
     Only the compared samples count; a sector without one has NaN.
     """
-    kept = samples.compared
-    angle = np.arctan2(samples.v_m_s[kept, 1], samples.v_m_s[kept, 0]) % (2 * np.pi)
+    is_compared = samples.compared
+    angle = np.arctan2(samples.v_m_s[is_compared, 1], samples.v_m_s[is_compared, 0]) % (2 * np.pi)
     sector = np.minimum((angle * count / (2 * np.pi)).astype(int), count - 1)
     number = np.bincount(sector, minlength=count)
-    sums = [np.bincount(sector, weights=samples.shown_N[kept, k], minlength=count) for k in range(2)]
+    sums = [np.bincount(sector, weights=samples.shown_N[is_compared, k], minlength=count) for k in range(2)]
     with np.errstate(invalid="ignore"):
         return np.stack([total / number for total in sums], axis=1)
 

@@ -128,20 +128,20 @@ def draw_detail(axes: Axes, data: Traces) -> None:
     axes.margins(x=0)
 
 
-def share_labels(made: Figure, axes: Any) -> None:
+def share_labels(fig: Figure, axes: Any) -> None:
     """Share the labels of the quantities between columns, with one legend below them."""
     for panel in axes[:, 1:].flat:
         panel.set_ylabel("")
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # space for the phases' names
-    known: dict[str, Any] = {
+    artists: dict[str, Any] = {
         label: artist for panel in axes[0] for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
     from matplotlib.patches import Patch
 
-    known["band: smallest to largest; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
-    columns = len(known) if axes.shape[1] > 2 else 2
-    made.legend(known.values(), known.keys(), loc="outside lower center", ncols=columns)
+    artists["band: smallest to largest; line: mean"] = Patch(color=GREY, alpha=0.3, lw=0)
+    columns = len(artists) if axes.shape[1] > 2 else 2
+    fig.legend(artists.values(), artists.keys(), loc="outside lower center", ncols=columns)
 
 
 def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
@@ -152,13 +152,13 @@ def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
     recordings : mode and recording by column title
     """
     count = len(recordings)
-    with figure(MARGIN + WIDTH * count, HEIGHT, 3, count, sharey="row", squeeze=False) as (made, axes):
+    with figure(MARGIN + WIDTH * count, HEIGHT, 3, count, sharey="row", squeeze=False) as (fig, axes):
         for column, (name, (mode, recording)) in enumerate(recordings.items()):
             data = traces(recording, mode)
             draw_traces(axes[0, column], axes[1, column], data, name)
             draw_detail(axes[2, column], data)
-        share_labels(made, axes)
+        share_labels(fig, axes)
         rig = next(iter(recordings.values()))[1].rig.name
-        made.suptitle(f"Friction display on the rig '{rig}', from the recorded PDOs", fontsize=12)
+        fig.suptitle(f"Friction display on the rig '{rig}', from the recorded PDOs", fontsize=12)
         metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-        made.savefig(path, dpi=130, metadata=metadata)
+        fig.savefig(path, dpi=130, metadata=metadata)

@@ -114,39 +114,39 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
             f"{path}: it does not tell the host's mode (attachment 'mode'): --host replays what "
             "`coulombus run --record` or `coulombus simulate --record` wrote"
         )
-    chosen = recording.rig.variant(*overrides) if overrides else recording.rig
-    if [pdo.layout for pdo in chosen.pdos()] != [pdo.layout for pdo in recording.rig.pdos()]:
+    variant = recording.rig.variant(*overrides) if overrides else recording.rig
+    if [pdo.layout for pdo in variant.pdos()] != [pdo.layout for pdo in recording.rig.pdos()]:
         raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
-    controllers = Controllers(chosen, mode)
-    known = _known(recording, controllers)
-    models = _models(recording, controllers, known.inputs)
-    known = known._replace(
-        inputs=replace(known.inputs, orders=_orders(recording, controllers, known.inputs), models=models)
+    controllers = Controllers(variant, mode)
+    host_data = _known(recording, controllers)
+    models = _models(recording, controllers, host_data.inputs)
+    host_data = host_data._replace(
+        inputs=replace(host_data.inputs, orders=_orders(recording, controllers, host_data.inputs), models=models)
     )
-    law_remarks, same_law = _compare_laws(recording, chosen)
+    law_remarks, same_law = _compare_laws(recording, variant)
     others = [text for text in overrides if text.partition("=")[0].strip() != "law.function"]
-    check = _Check(recording, controllers, known, keep=bool(overrides))
+    check = _Check(recording, controllers, host_data, keep=bool(overrides))
     result = check.result
     result.judged = not others and (same_law or not overrides)
-    result.mode, result.inputs, result.remarks = mode, len(known.inputs.frames), (*recording.remarks, *law_remarks)
-    check.run(known.inputs)
+    result.mode, result.inputs, result.remarks = mode, len(host_data.inputs.frames), (*recording.remarks, *law_remarks)
+    check.run(host_data.inputs)
     trips = [text[len("trip ") :] for _, text in recording.markers if text.startswith("trip ")]
     result.recorded_trip = trips[0] if trips else None
     result.computed_trip = controllers.trip
     return result
 
 
-def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
+def _compare_laws(recording: Recording, rig: Rig) -> tuple[tuple[str, ...], bool]:
     """Return a remark on the law, and whether its source is the recorded one."""
-    now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
+    now, recorded = law_source(rig), recorded_sha256(recording.capture.attachments)
     name = recording.rig.law_function
     if now is None or recorded is None:
-        text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        own = chosen.law_function == name and name in builtin_laws(chosen)  # a built-in law needs no attachment
-        return () if own else (text,), own
+        text = f"{recording.path}: whether {rig.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
+        builtin = rig.law_function == name and name in builtin_laws(rig)  # a built-in law needs no attachment
+        return () if builtin else (text,), builtin
     if now.sha256 == recorded:
         return (), True
-    text = f"{recording.path}: the law is {chosen.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
+    text = f"{recording.path}: the law is {rig.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
     return (text,), False
 
 
@@ -200,12 +200,12 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
             f"{recording.path}: it has no trace of the host (attachments 'host.trace.N'): what the host received, and in which cycle it did, is not "
             "known. Record with `coulombus run --record` or `coulombus simulate --record` of this version"
         )
-    known, trace = content
+    sent_flags, trace = content
     if in_virtual_time and not np.any(trace["kind"] == Event.START):
         raise ReplayError(f"{recording.path}: the host's cycle does not begin in it")
     of_the_host = np.isin(recording.frames["can_id"], controllers.own_identifiers)
     once = ~_copies(recording, controllers)
-    frames = recording.frames[: len(known)] if in_virtual_time else recording.frames
+    frames = recording.frames[: len(sent_flags)] if in_virtual_time else recording.frames
     if not len(frames):
         raise ReplayError(
             f"{recording.path}: its trace has no frame of this recording: the recording was ended too soon"
@@ -213,15 +213,15 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     last_ns = int(frames["t_ns"][-1])
     if in_virtual_time:
         sent = unpack_sent(attachments)
-        own = (of_the_host & once)[: len(frames)]
-        inputs = Inputs(frames[~known[: len(frames)]], trace)
-        behind = int(np.sum((of_the_host & once)[len(known) :]))
-        return _Known(inputs, frames[own] if sent is None else sent, last_ns, behind)
-    own = of_the_host.copy()
-    own[: len(known)] = known[: len(own)]
+        from_host = (of_the_host & once)[: len(frames)]
+        inputs = Inputs(frames[~sent_flags[: len(frames)]], trace)
+        behind = int(np.sum((of_the_host & once)[len(sent_flags) :]))
+        return _Known(inputs, frames[from_host] if sent is None else sent, last_ns, behind)
+    from_host = of_the_host.copy()
+    from_host[: len(sent_flags)] = sent_flags[: len(from_host)]
     if len(trace) and trace["dropped"].any():
         trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log was full: later frames are missing
-    return _Known(Inputs(recording.frames[~own], trace), recording.frames[own & once], last_ns)
+    return _Known(Inputs(recording.frames[~from_host], trace), recording.frames[from_host & once], last_ns)
 
 
 def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bool_]:
@@ -238,16 +238,19 @@ def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bo
 class _Check:
     """Compares computed frames with the recording, per identifier in order."""
 
-    def __init__(self, recording: Recording, controllers: Controllers, known: _Known, *, keep: bool) -> None:
+    def __init__(self, recording: Recording, controllers: Controllers, host_data: _Known, *, keep: bool) -> None:
         self.recording, self.controllers, self.keep = recording, controllers, keep
         self.result = HostReplay(recording.path, controllers.mode)
         self.pdos = {pdo.layout.cob_id: pdo for pdo in recording.rig.pdos() if pdo.layout.direction == "rpdo"}
-        can_ids, columns = known.sent["can_id"], np.stack([known.sent[name] for name in ("t_ns", "length", "word")], 1)
+        can_ids, columns = (
+            host_data.sent["can_id"],
+            np.stack([host_data.sent[name] for name in ("t_ns", "length", "word")], 1),
+        )
         identifiers = {*controllers.own_identifiers, *np.unique(can_ids).tolist()}
         self.streams = {can_id: columns[can_ids == can_id] for can_id in sorted(identifiers)}
         self.at = dict.fromkeys(self.streams, 0)
-        self.last_ns = known.last_ns
-        self.result.unchecked = known.behind
+        self.last_ns = host_data.last_ns
+        self.result.unchecked = host_data.behind
         self.period_ns = int(controllers.control["period_ns"][0])
         self.refused: dict[int, int] = {}
         self.words: dict[int, list[tuple[int, int]]] = {can_id: [] for can_id in self.pdos}

@@ -52,9 +52,9 @@ class Tape:
     t_ns: Integers
     remarks: tuple[str, ...] = ()
 
-    def take(self, chosen: npt.NDArray[np.bool_]) -> Tape:
-        """Return only the chosen frames."""
-        return Tape(self.path, self.frames[chosen], self.t_ns[chosen], self.remarks)
+    def take(self, mask: npt.NDArray[np.bool_]) -> Tape:
+        """Return only the frames that `mask` has."""
+        return Tape(self.path, self.frames[mask], self.t_ns[mask], self.remarks)
 
 
 @dataclass(frozen=True)

@@ -141,10 +141,10 @@ def _copies(recording: Recording) -> npt.NDArray[np.bool_]:
     frames, copies = recording.frames, np.zeros(len(recording.frames), np.bool_)
     if not recording.capture.channels or "bus" in recording.capture.attachments:
         return copies
-    own = np.isin(frames["can_id"], [CobId.NMT, CobId.SYNC, CobId.HEARTBEAT + recording.rig.host.node_id])
+    once_for_all = np.isin(frames["can_id"], [CobId.NMT, CobId.SYNC, CobId.HEARTBEAT + recording.rig.host.node_id])
     sent: Counter[int] = Counter()  # by identifier: requests so far
     on_bus: Counter[tuple[int, int]] = Counter()  # of them, those that the bus has had
-    for row in np.flatnonzero(own).tolist():
+    for row in np.flatnonzero(once_for_all).tolist():
         can_id, bus = int(frames["can_id"][row]), int(frames["source"][row])
         on_bus[can_id, bus] += 1
         copies[row] = on_bus[can_id, bus] <= sent[can_id]

@@ -61,8 +61,10 @@ def open_session(
     checked = read_study(Path(study))
     displays: Displays = VirtualDisplays() if bus is None else BusDisplays(parse_address(bus))
     meta = {"bus": "virtual time" if bus is None else bus, "observer": "a program"}
-    with SubjectFolder(checked, Path(folder), subject, meta) as own:
-        session = SubjectSession(own, displays, *((LslMarkers(own), LslSignals(own)) if lsl else ()))
+    with SubjectFolder(checked, Path(folder), subject, meta) as subject_folder:
+        session = SubjectSession(
+            subject_folder, displays, *((LslMarkers(subject_folder), LslSignals(subject_folder)) if lsl else ())
+        )
         try:
             yield session
         finally:

@@ -27,10 +27,10 @@ TIGHTER = frozenset({"torque_rate_Nm_s", "brake_torque_Nm", "speed_rad_s", "trav
 
 def widened(rig: Rig, variant: Rig) -> list[str]:
     """Return what `variant` changes of `rig` that a study may not change, a sentence for each."""
-    own, new = (dict(_flat(read_toml(either.effective()).values)) for either in (rig, variant))
+    old, new = (dict(_flat(read_toml(either.effective()).values)) for either in (rig, variant))
     refusals = []
-    for key in dict.fromkeys((*own, *new)):
-        before, after = own.get(key), new.get(key)
+    for key in dict.fromkeys((*old, *new)):
+        before, after = old.get(key), new.get(key)
         if before != after:
             why = _refusal(key[2:] if key[0] == "axis" else key, before, after)
             if why is not None:

@@ -75,8 +75,8 @@ class Observer:
         judged = self._judged(trial)
         if trial.reference is None:
             return f"{max(10.0 * (judged[0] + noise), 0.0):.1f}"
-        own, other = judged[trial.first - 1], judged[2 - trial.first]
+        at_level, other = judged[trial.first - 1], judged[2 - trial.first]
         if random.random() < faults.lapse:
             return str(int(random.integers(1, 3)))
         towards = faults.bias if trial.first == 2 else -faults.bias
-        return str(trial.first if own + noise + towards > other + faults.shift else 3 - trial.first)
+        return str(trial.first if at_level + noise + towards > other + faults.shift else 3 - trial.first)

@@ -323,20 +323,20 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
             changed = widened(study.rig, rig)
         except RigError as error:
             for text in error.errors:
-                given = _factor_of(study, condition, "{}=", text)
+                factor = _factor_of(study, condition, "{}=", text)
                 of_set = any(
                     text.startswith(f"--set {override}:") for override in study.file.condition[number // width].set
                 )
-                where: Key = ("factor", given) if given is not None and not of_set else (*place, "set")
+                where: Key = ("factor", factor) if factor is not None and not of_set else (*place, "set")
                 mistakes.say(where, f"the rig refuses it: {_bare(text)}")
             continue
         for text in changed:
-            given = _factor_of(study, condition, "{}:", text)
-            mistakes.say((*place, "set") if given is None else ("factor", given, "values"), text)
+            factor = _factor_of(study, condition, "{}:", text)
+            mistakes.say((*place, "set") if factor is None else ("factor", factor, "values"), text)
         unknown_law = _law_mistake(rig)
         if unknown_law is not None:
-            given = _factor_of(study, condition, "{}", "law.function")
-            mistakes.say((*place, "set") if given is None else ("factor", given), unknown_law)
+            factor = _factor_of(study, condition, "{}", "law.function")
+            mistakes.say((*place, "set") if factor is None else ("factor", factor), unknown_law)
         if changed or unknown_law is not None or _check_level_keys(study, condition, mistakes):
             continue
         for key, level in _shown(study):

@@ -223,10 +223,10 @@ class SubjectFolder:
         fingerprint = self.study.fingerprint()
         if path.exists():
             try:
-                there = json.loads(path.read_text(encoding="utf-8"))["StudySHA256"]
+                recorded = json.loads(path.read_text(encoding="utf-8"))["StudySHA256"]
             except (ValueError, KeyError, TypeError):
-                there = None
-            if there != fingerprint:
+                recorded = None
+            if recorded != fingerprint:
                 raise StudyFolderError(
                     f"{self.folder}: holds another study (another file or rig); choose another folder"
                 )

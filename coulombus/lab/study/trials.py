@@ -124,16 +124,16 @@ class Trials:
     def next(self) -> Trial | None:
         """Return the trial that waits for its answer; None: there is none any more."""
         if self._now is None:
-            chosen = self._condition()
-            if chosen is None:
+            place = self._condition()
+            if place is None:
                 return None
-            file, training = self._study.file, self._training[chosen] > 0
-            level = self._trained() if training else self._methods[chosen].level()
-            first = 0 if file.reference is None else self._first(chosen, level, training)
+            file, training = self._study.file, self._training[place] > 0
+            level = self._trained() if training else self._methods[place].level()
+            first = 0 if file.reference is None else self._first(place, level, training)
             self._number += 1
-            self._place = chosen
-            block = 1 if file.order == "mixed" else self._order.index(chosen) + 1
-            condition = self._study.conditions[chosen]
+            self._place = place
+            block = 1 if file.order == "mixed" else self._order.index(place) + 1
+            condition = self._study.conditions[place]
             self._now = Trial(self._number, block, condition, training, level, file.reference, first)
         return self._now
 

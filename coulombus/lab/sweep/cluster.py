@@ -74,8 +74,8 @@ def on_cluster(job: Job, orders: Iterable[RunRequest], address: str) -> Iterator
                 done = task.result()
             except cluster.KilledWorker as error:
                 if len(batch) > 1:  # one of its runs ends its worker: each comes alone
-                    for order in batch:
-                        give([order])
+                    for request in batch:
+                        give([request])
                     continue
                 done = [FinishedRun(failed_row(job, batch[0], f"the cluster lost the run: {error}"))]
             except ClusterError as error:
@@ -97,12 +97,12 @@ def carry_out_batch(packed: bytes, orders: Sequence[RunRequest], expected: Mappi
     OSError
         a recording cannot be written
     """
-    own = _versions()
-    if own != expected:
+    versions = _versions()
+    if versions != expected:
         worker = importlib.import_module("distributed").get_worker().address
-        raise ClusterError(f"the worker {worker} has {_text(own)}, expected {_text(expected)}")
+        raise ClusterError(f"the worker {worker} has {_text(versions)}, expected {_text(expected)}")
     job = pickle.loads(packed)
-    return [carry_out(job, order) for order in orders]
+    return [carry_out(job, request) for request in orders]
 
 
 def _connected(address: str) -> tuple[Any, Any]:

@@ -50,8 +50,8 @@ class Condition:
     text: str
 
     @classmethod
-    def of(cls, text: str, known: Mapping[str, type]) -> Condition:
-        """Return the condition `text` over the figures `known`.
+    def of(cls, text: str, figures: Mapping[str, type]) -> Condition:
+        """Return the condition `text` over `figures`.
 
         Raises
         ------
@@ -59,7 +59,7 @@ class Condition:
             it is not a condition, names an unknown figure, or compares a string with a number
         """
         tree = _tree(text)
-        kind = _Kinds(known).of(tree)
+        kind = _Kinds(figures).of(tree)
         if kind is not bool:
             raise ConditionError("it is not a comparison; expected, for example, hold_counts_p2p <= 2")
         return cls(text)
@@ -119,8 +119,8 @@ def _names(node: ast.AST) -> Iterator[str]:
 class _Kinds:
     """Type checker of the parts: float, str, bool, or NoneType; an error raises."""
 
-    def __init__(self, known: Mapping[str, type]) -> None:
-        self._known = known
+    def __init__(self, figures: Mapping[str, type]) -> None:
+        self._known = figures
 
     def of(self, node: ast.expr) -> type:
         name = _dotted(node)
@@ -182,9 +182,9 @@ class _Kinds:
         return bool
 
 
-def _beginning(name: str, known: Mapping[str, type]) -> str:
+def _beginning(name: str, figures: Mapping[str, type]) -> str:
     """Return a hint at a figure with the same beginning as `name`."""
-    suggestion = next((candidate for candidate in known if len(name) > 2 and candidate.startswith(name)), None)
+    suggestion = next((candidate for candidate in figures if len(name) > 2 and candidate.startswith(name)), None)
     return f"; did you mean '{suggestion}'?" if suggestion else ""
 
 

@@ -52,16 +52,16 @@ def known_figures(rig: Rig) -> dict[str, type]:
 
 @cache
 def _known(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]:
-    own = {f"axes.{name}.{figure}": FIGURES[figure] for name in names for figure in _OF_AXES}
-    return {**FIGURES, **own}
+    of_axes = {f"axes.{name}.{figure}": FIGURES[figure] for name in names for figure in _OF_AXES}
+    return {**FIGURES, **of_axes}
 
 
 def figures_of(result: RunResult, rig: Rig) -> dict[str, Value]:
     """Return the figures of a run of `rig`, one for each name of `known_figures`."""
     values = result.as_dict()
     axes = {**(values["axes"] or {})}
-    for own in (values["buses"] or {}).values():
-        axes |= own["axes"] or {}
+    for bus_values in (values["buses"] or {}).values():
+        axes |= bus_values["axes"] or {}
     return {name: _value(_at(values | {"axes": axes}, name)) for name in known_figures(rig)}
 
 

@@ -82,7 +82,7 @@ def order_of(sweep: Sweep, run: int) -> RunRequest:
     return RunRequest(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])
 
 
-def carry_out(job: Job, order: RunRequest) -> FinishedRun:
+def carry_out(job: Job, request: RunRequest) -> FinishedRun:
     """Simulate one run and return the result.
 
     Any failure of the run - a refused rig, a trip, an internal error - is the row's ``error``.
@@ -93,13 +93,13 @@ def carry_out(job: Job, order: RunRequest) -> FinishedRun:
         its recording cannot be written
     """
     began = time.thread_time()
-    rig, result, error = _simulated(job, order)
+    rig, result, error = _simulated(job, request)
     figures: Mapping[str, Value] = dict.fromkeys(known_figures(job.rig))
     if result is not None and rig is not None:
         figures = figures_of(result, rig)
         error = None if result.trip is None else TRIPPED + result.trip
     row = {
-        **_head(job, order, error),
+        **_head(job, request, error),
         **figures,
         **{f"rates.{name}": condition.holds(figures) for name, condition in job.rates.items()},
         "rig": None if rig is None else rig.effective(),
@@ -110,14 +110,14 @@ def carry_out(job: Job, order: RunRequest) -> FinishedRun:
     failing = error is not None or not all(row[f"rates.{name}"] for name in job.rates)
     recording = None
     if rig is not None and result is not None and (job.keep == "all" or (job.keep == "failing" and failing)):
-        recording = _recorded(job, rig, order)
+        recording = _recorded(job, rig, request)
     return FinishedRun(row, simulated_s, cpu_s, recording)
 
 
-def failed_row(job: Job, order: RunRequest, error: str) -> dict[str, Any]:
+def failed_row(job: Job, request: RunRequest, error: str) -> dict[str, Any]:
     """Return the row of a failed run, with only its reason."""
     return {
-        **_head(job, order, error),
+        **_head(job, request, error),
         **dict.fromkeys(known_figures(job.rig)),
         **{f"rates.{name}": False for name in job.rates},
         "rig": None,
@@ -125,34 +125,41 @@ def failed_row(job: Job, order: RunRequest, error: str) -> dict[str, Any]:
     }
 
 
-def _head(job: Job, order: RunRequest, error: str | None) -> dict[str, Any]:
-    values = dict(zip((variation.key for variation in job.vary), order.values, strict=True))
-    return {"run": order.run, "point": order.point, "mode": order.mode, "seed": order.seed, **values, "error": error}
+def _head(job: Job, request: RunRequest, error: str | None) -> dict[str, Any]:
+    values = dict(zip((variation.key for variation in job.vary), request.values, strict=True))
+    return {
+        "run": request.run,
+        "point": request.point,
+        "mode": request.mode,
+        "seed": request.seed,
+        **values,
+        "error": error,
+    }
 
 
-def _simulated(job: Job, order: RunRequest) -> tuple[Rig | None, RunResult | None, str | None]:
+def _simulated(job: Job, request: RunRequest) -> tuple[Rig | None, RunResult | None, str | None]:
     """Return the rig, if valid, its simulation, and the reason of a failure."""
     rig = None
     try:
         rig = job.rig.variant(
-            *(variation.override(value) for variation, value in zip(job.vary, order.values, strict=True))
+            *(variation.override(value) for variation, value in zip(job.vary, request.values, strict=True))
         )
-        return rig, virtual_run(_run(job, rig, order)), None
+        return rig, virtual_run(_run(job, rig, request)), None
     except Exception as error:  # must not end the other runs
-        known = isinstance(error, CoulombusError)
-        return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
+        is_refusal = isinstance(error, CoulombusError)
+        return rig, None, f"refused: {error}" if is_refusal else f"{type(error).__name__}: {error}"
 
 
-def _run(job: Job, rig: Rig, order: RunRequest, record: Path | None = None) -> Run:
+def _run(job: Job, rig: Rig, request: RunRequest, record: Path | None = None) -> Run:
     seconds = rig.schedule_s if job.seconds is None else job.seconds
-    return Run(rig, order.mode, seconds, order.seed, outputs=Outputs(record=record, measured=True))
+    return Run(rig, request.mode, seconds, request.seed, outputs=Outputs(record=record, measured=True))
 
 
-def _recorded(job: Job, rig: Rig, order: RunRequest) -> bytes:
+def _recorded(job: Job, rig: Rig, request: RunRequest) -> bytes:
     """Return the recording of a run, by running it again."""
     with tempfile.TemporaryDirectory(prefix="coulombus-sweep-") as folder:
         path = Path(folder) / "run.pcapng"
-        virtual_run(_run(job, rig, order, path))
+        virtual_run(_run(job, rig, request, path))
         return path.read_bytes()
 
 

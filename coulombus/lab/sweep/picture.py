@@ -45,11 +45,11 @@ def draw_map(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], title
         (False, VERMILION, "X", "does not hold"),
         (None, GREY, "+", "failed"),
     ):
-        chosen = [k for k, point in enumerate(points) if point.holds is holds]
-        if chosen:
-            x, y = ([row[k] for k in chosen] for row in places)
+        alike = [k for k, point in enumerate(points) if point.holds is holds]
+        if alike:
+            x, y = ([row[k] for k in alike] for row in places)
             size = 30 if marker == "+" else 18
-            axes.scatter(x, y, s=size, c=colour, marker=marker, label=f"{name} ({len(chosen)})", linewidths=0.6)
+            axes.scatter(x, y, s=size, c=colour, marker=marker, label=f"{name} ({len(alike)})", linewidths=0.6)
     for k, variation in enumerate(vary[:2]):
         _scale(axes, "xy"[k], variation, [point.values[k] for point in points])
     axes.set_title(title)
@@ -72,9 +72,9 @@ def _scale(axes: Axes, which: str, variation: Vary, values: Sequence[Any]) -> No
 
 def draw_figure(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], name: str) -> None:
     """Draw the figure `name` of the points into `axes`, as colours; for a single key as heights."""
-    known = [point for point in points if point.figure is not None]
-    figures = [float(point.figure or 0.0) for point in known]
-    places = [_places(vary[k], [point.values[k] for point in known]) for k in range(min(2, len(vary)))]
+    measured = [point for point in points if point.figure is not None]
+    figures = [float(point.figure or 0.0) for point in measured]
+    places = [_places(vary[k], [point.values[k] for point in measured]) for k in range(min(2, len(vary)))]
     if len(places) < 2:
         axes.scatter(places[0], figures, s=18, c=BLUE)
         axes.set_ylabel(name)
@@ -83,18 +83,18 @@ def draw_figure(axes: Axes, vary: Sequence[Vary], points: Sequence[MapPoint], na
         axes.figure.colorbar(shown, ax=axes, label=name)
     for k, variation in enumerate(vary[:2]):
         _scale(axes, "xy"[k], variation, [point.values[k] for point in points])
-    axes.set_title(f"{name} of {len(known)} runs; {len(points) - len(known)} have none")
+    axes.set_title(f"{name} of {len(measured)} runs; {len(points) - len(measured)} have none")
 
 
 def map_of(vary: Sequence[Vary], points: Sequence[MapPoint], shown: Rate | str) -> bytes:
     """Return the map of a rate, or of a figure by its name, as a PNG: the same bytes for the same
     points.
     """
-    with figure(7.0, 4.2) as (made, axes):
+    with figure(7.0, 4.2) as (fig, axes):
         if isinstance(shown, str):
             draw_figure(axes, vary, points, shown)
         else:
             draw_map(axes, vary, points, shown.text)
         content = io.BytesIO()
-        made.savefig(content, format="png", metadata={"Software": None})
+        fig.savefig(content, format="png", metadata={"Software": None})
     return content.getvalue()

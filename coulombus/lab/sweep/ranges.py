@@ -36,15 +36,15 @@ class Vary:
         """Whether the rig's value is an integer, so that a range has integers."""
         return isinstance(self.own, int) and not isinstance(self.own, bool)
 
-    def on(self, own: Any) -> Vary:
-        """Return the key for a rig with the value `own`: for an integer, a range of integers.
+    def on(self, rig_value: Any) -> Vary:
+        """Return the key for a rig with the value `rig_value`: for an integer, a range of integers.
 
         Raises
         ------
         ValueError
             the range contains no integer
         """
-        result = replace(self, own=own)
+        result = replace(self, own=rig_value)
         if not result.whole or self.values:
             return result
         low, high = math.ceil(self.low), math.floor(self.high)
@@ -100,11 +100,11 @@ class Vary:
             return 1.0
         low, high = (min(self.values), max(self.values)) if self.values else (self.low, self.high)
         if self.logarithmic and self.own > 0:
-            value, own, low, high = map(math.log, (value, self.own, low, high))
+            value, rig_value, low, high = map(math.log, (value, self.own, low, high))
         else:
-            own = self.own
+            rig_value = self.own
         width = high - low
-        return float(abs(value - own) / width) if width > 0 else 1.0
+        return float(abs(value - rig_value) / width) if width > 0 else 1.0
 
     def override(self, value: Any) -> str:
         """Return the value as ``--set`` takes it."""

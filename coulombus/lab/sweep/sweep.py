@@ -89,17 +89,19 @@ def run_sweep(
         no cluster is reachable, or a worker has other versions
     """
     job = Job.of(sweep, keep)
-    with Folder.open(Path(folder), sweep, force=force) as kept:
-        left = kept.left
+    with Folder.open(Path(folder), sweep, force=force) as results:
+        left = results.left
         if left:
-            _carry_out(kept, job, left, processes or len(usable_cpus()), dask, progress)
-        if not kept.finished:
-            kept.finish()
-        return _summary(kept, job, progress)
+            _carry_out(results, job, left, processes or len(usable_cpus()), dask, progress)
+        if not results.finished:
+            results.finish()
+        return _summary(results, job, progress)
 
 
-def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: str | None, progress: Progress) -> None:
-    sweep = kept.sweep
+def _carry_out(
+    results: Folder, job: Job, left: list[int], processes: int, dask: str | None, progress: Progress
+) -> None:
+    sweep = results.sweep
     done, failed = sweep.runs - len(left), 0
     progress("runs", done, sweep.runs, failed)
     orders = (order_of(sweep, run) for run in left)
@@ -107,49 +109,49 @@ def _carry_out(kept: Folder, job: Job, left: list[int], processes: int, dask: st
     try:
         with closing(source):  # type: ignore[type-var]
             for finished in source:
-                kept.times.simulated_s += finished.simulated_s
-                kept.times.cpu_s += finished.cpu_s
+                results.times.simulated_s += finished.simulated_s
+                results.times.cpu_s += finished.cpu_s
                 row = dict(finished.row)
                 if finished.recording is not None:
-                    row["recording"] = kept.keep_recording(row["run"], finished.recording)
-                kept.add(row)
+                    row["recording"] = results.keep_recording(row["run"], finished.recording)
+                results.add(row)
                 done, failed = done + 1, failed + (row["error"] is not None)
                 progress("runs", done, sweep.runs, failed)
     except SweepFolderError:
         raise
     except BaseException:  # interrupted: finished runs are kept
-        kept.flush()
-        progress("runs", sweep.runs - len(kept.left), sweep.runs, failed)
+        results.flush()
+        progress("runs", sweep.runs - len(results.left), sweep.runs, failed)
         raise
 
 
-def _summary(kept: Folder, job: Job, progress: Progress) -> SweepResult:
-    sweep = kept.sweep
+def _summary(results: Folder, job: Job, progress: Progress) -> SweepResult:
+    sweep = results.sweep
     conditions = [f"rates.{name}" for name in sweep.rates]
-    rows = kept.rows("run", "mode", "error", "cycles", FIGURE, *conditions)
+    rows = results.rows("run", "mode", "error", "cycles", FIGURE, *conditions)
     rates: dict[str, Rate] = {}
     maps: dict[str, Path] = {}
     for mode in sweep.modes:
-        own = [row for row in rows if row["mode"] == mode]
+        of_mode = [row for row in rows if row["mode"] == mode]
         for name in sweep.rates or ((FIGURE,) if sweep.vary else ()):
             label = name if len(sweep.modes) == 1 else f"{mode}.{name}"
             shown: Rate | str = name
             if name in sweep.rates:
-                rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in own), len(own))
-                failing = [order_of(sweep, row["run"]) for row in own if _fails(row, name)]
-                _find_worst(kept, job, name, label, failing, progress)
+                rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in of_mode), len(of_mode))
+                failing = [order_of(sweep, row["run"]) for row in of_mode if _fails(row, name)]
+                _find_worst(results, job, name, label, failing, progress)
             if sweep.vary:
-                points = [_point(sweep, row, name) for row in own]
-                maps[label] = kept.path / f"map-{label}.png"
-                kept.write(maps[label], map_of(sweep.vary, points, shown))
-    times = kept.times
+                points = [_point(sweep, row, name) for row in of_mode]
+                maps[label] = results.path / f"map-{label}.png"
+                results.write(maps[label], map_of(sweep.vary, points, shown))
+    times = results.times
     return SweepResult(
         runs=len(rows),
         failed=sum(row["error"] is not None for row in rows),
         rates=rates,
         simulated_s_per_core_s=times.simulated_s / times.cpu_s if times.cpu_s > 0 and times.simulated_s > 0 else None,
-        table=kept.path / "runs.parquet",
-        worst={name: _placed(kept.worst[name], kept.path) for name in rates if name in kept.worst},
+        table=results.path / "runs.parquet",
+        worst={name: _placed(results.worst[name], results.path) for name in rates if name in results.worst},
         maps=maps,
     )
 
@@ -168,13 +170,15 @@ def _point(sweep: Sweep, row: Mapping[str, Any], rate: str) -> MapPoint:
     return MapPoint(sweep.points[row["run"] // len(sweep.modes)], holds, row[FIGURE])
 
 
-def _find_worst(kept: Folder, job: Job, rate: str, label: str, failing: list[RunRequest], progress: Progress) -> None:
+def _find_worst(
+    results: Folder, job: Job, rate: str, label: str, failing: list[RunRequest], progress: Progress
+) -> None:
     start = nearest_failing(job.vary, failing)
-    if start is None or label in kept.worst:
+    if start is None or label in results.worst:
         return
     worst = shrunk(job, rate, start, lambda tried: progress(f"worst case of {label}", tried, 0, 0))
     rig = job.rig.variant(
         *(variation.override(value) for variation, value in zip(job.vary, worst.order.values, strict=True))
     )
-    files = rig_files(rig, kept.path, f"worst-{label}.toml")
-    kept.keep_worst(label, {**worst.as_dict(), "rate": label, "file": f"worst-{label}.toml"}, files)
+    files = rig_files(rig, results.path, f"worst-{label}.toml")
+    results.keep_worst(label, {**worst.as_dict(), "rate": label, "file": f"worst-{label}.toml"}, files)

@@ -208,27 +208,27 @@ def _is_leaf(value: Mapping[str, Any]) -> bool:
 
 def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
     variations: dict[Key, Vary] = {}
-    for place, given in _leaves(file.vary):
+    for place, value in _leaves(file.vary):
         key = ".".join(str(part) for part in place[1:])
         if split_key(key) is None or "=" in key:
             mistakes.say(place, "cannot be read; expected SECTION.KEY, as in plant.inertia_kg_m2")
         elif any(variation.key == key for variation in variations.values()):
             mistakes.say(place, f"{key} is given twice; expected each key once")
-        elif not isinstance(given, Mapping):
-            mistakes.say(place, f"expected {{ values = [...] }} or {{ low = ..., high = ... }}, not {shown(given)}")
-        elif "values" in given and {"low", "high"} & given.keys():
+        elif not isinstance(value, Mapping):
+            mistakes.say(place, f"expected {{ values = [...] }} or {{ low = ..., high = ... }}, not {shown(value)}")
+        elif "values" in value and {"low", "high"} & value.keys():
             mistakes.say(place, "has values, and low and high; expected either")
         else:
-            variation = _leaf(place, key, given, mistakes)
+            variation = _leaf(place, key, value, mistakes)
             if variation is not None:
                 variations[place] = variation
     return variations
 
 
-def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
-    model: type[_Choice] | type[_Range] = _Range if {"low", "high"} & given.keys() else _Choice
+def _leaf(place: Key, key: str, table: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
+    model: type[_Choice] | type[_Range] = _Range if {"low", "high"} & table.keys() else _Choice
     try:
-        tried = model.model_validate(given)
+        tried = model.model_validate(table)
     except ValidationError as error:
         mistakes.explain(error, place, model)
         return None
@@ -290,13 +290,13 @@ def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
 
 
 def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition]:
-    known, conditions = known_figures(rig), {}
+    figures, conditions = known_figures(rig), {}
     for name, text in file.rates.items():
         if not RATE_NAME.fullmatch(name):
             mistakes.say(("rates", name), "expected a name of letters, digits, _ and -")
             continue
         try:
-            conditions[name] = Condition.of(text, known)
+            conditions[name] = Condition.of(text, figures)
         except ConditionError as error:
             mistakes.say(("rates", name), str(error))
     return conditions
@@ -326,8 +326,8 @@ def _beside(key: str, lacking: tuple[str, ...]) -> str:
     """Return a hint for a key that needs other keys of its section."""
     if not lacking:
         return ""
-    section, given = lacking[0].rpartition(".")[0], ", ".join(f'"{name}=..."' for name in (key, *lacking))
-    return f"; give what is not varied of [{section}] beside [vary]: set = [{given}]"
+    section, settings = lacking[0].rpartition(".")[0], ", ".join(f'"{name}=..."' for name in (key, *lacking))
+    return f"; give what is not varied of [{section}] beside [vary]: set = [{settings}]"
 
 
 def _own(rig: Rig, key: str) -> Any:

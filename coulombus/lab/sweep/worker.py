@@ -36,12 +36,12 @@ def _carry_out(fd: int) -> None:
         line.send(None)
         while True:
             try:
-                order = line.recv()
+                request = line.recv()
             except EOFError:
                 return
-            assert isinstance(order, RunRequest)
+            assert isinstance(request, RunRequest)
             try:
-                line.send(carry_out(job, order))
+                line.send(carry_out(job, request))
             except OSError as error:  # of the recording: the parent ends the sweep
                 line.send(error)
 

@@ -50,11 +50,11 @@ class _Worker:
         with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
-    def take(self, order: RunRequest) -> None:
+    def take(self, request: RunRequest) -> None:
         """Send it a run."""
-        self.orders.append(order)
+        self.orders.append(request)
         with suppress(OSError):
-            self.line.send(order)
+            self.line.send(request)
 
     def end(self) -> str:
         """Kill it; return its exit status if it had ended by itself."""
@@ -101,12 +101,12 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                     stillborn += not worker.ready
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
-                    order = worker.orders.popleft() if worker.orders else None
+                    request = worker.orders.popleft() if worker.orders else None
                     waiting.extendleft(reversed(worker.orders))
                     if left():
                         workers.append(_Worker(job))
-                    if order is not None:
-                        yield FinishedRun(failed_row(job, order, f"the process of the run ended {how}"))
+                    if request is not None:
+                        yield FinishedRun(failed_row(job, request, f"the process of the run ended {how}"))
                     continue
                 worker.ready = True
                 if isinstance(answer, OSError):

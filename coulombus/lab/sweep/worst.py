@@ -67,7 +67,7 @@ def deviation(vary: Sequence[Vary], values: Sequence[Any]) -> float:
 
 def nearest_failing(vary: Sequence[Vary], failing: Sequence[RunRequest]) -> RunRequest | None:
     """Return the run that deviates least; the first of equals."""
-    return min(failing, key=lambda order: (deviation(vary, order.values), order.run), default=None)
+    return min(failing, key=lambda request: (deviation(vary, request.values), request.run), default=None)
 
 
 def shrunk(job: Job, rate: str, start: RunRequest, progress: Callable[[int], None] = lambda tried: None) -> Worst:
@@ -127,41 +127,41 @@ def rig_files(rig: Rig, folder: Path, name: str) -> dict[str, str]:
     values = read_toml(rig.effective()).values
     files: dict[str, str] = {}
     changes: list[str] = []
-    for above, own in _parts(values):
-        descriptions = _descriptions_of(own, folder / name)
-        for key in device_keys(own):
-            section: Any = own
+    for above, table in _parts(values):
+        descriptions = _descriptions_of(table, folder / name)
+        for key in device_keys(table):
+            section: Any = table
             for part in key:
                 section = section.get(part, {})
             eds = section.get("eds")
             if eds is None or descriptions.get(eds) == rig.eds_texts.get(eds):
                 continue
-            there = f"{Path(name).stem}-{len(files) + 1}{Path(eds).suffix or '.eds'}"
-            files[there] = rig.eds_texts[eds]
-            changes.append(f"{dotted((*above, *key, 'eds'))}={toml_value(there)}")
-        law = own.get("law", {}).get("function", "")
+            file_name = f"{Path(name).stem}-{len(files) + 1}{Path(eds).suffix or '.eds'}"
+            files[file_name] = rig.eds_texts[eds]
+            changes.append(f"{dotted((*above, *key, 'eds'))}={toml_value(file_name)}")
+        law = table.get("law", {}).get("function", "")
         file, _, function = law.rpartition(":")
         if file.endswith(".py") and not Path(file).is_absolute() and (rig.law_directory / file).exists():
-            there = os.path.relpath(rig.law_directory / file, folder)
-            changes.append(f"{dotted((*above, 'law', 'function'))}={toml_value(f'{there}:{function}')}")
+            file_name = os.path.relpath(rig.law_directory / file, folder)
+            changes.append(f"{dotted((*above, 'law', 'function'))}={toml_value(f'{file_name}:{function}')}")
     text = _changed(values, changes) if changes else rig.effective()
     return {name: text, **files}
 
 
 def _parts(values: Mapping[str, Any]) -> list[tuple[Key, Mapping[str, Any]]]:
     """Return the tables that may name files: the shared one, and each axis' own."""
-    return [((), values), *((("axis", name), own) for name, own in values.get("axis", {}).items())]
+    return [((), values), *((("axis", name), table) for name, table in values.get("axis", {}).items())]
 
 
-def _descriptions_of(own: Mapping[str, Any], path: Path) -> dict[str, str]:
+def _descriptions_of(table: Mapping[str, Any], path: Path) -> dict[str, str]:
     """Return the texts of the EDS files that a rig file at `path` would find, by their names."""
     try:
-        descriptions = read_descriptions(own, Source(str(path), Document()), None)
+        descriptions = read_descriptions(table, Source(str(path), Document()), None)
     except (EdsError, OSError):
         return {}
     names = {}
-    for key in device_keys(own):
-        section: Any = own
+    for key in device_keys(table):
+        section: Any = table
         for part in key:
             section = section.get(part, {})
         if str(key[-1]) in descriptions and "eds" in section:

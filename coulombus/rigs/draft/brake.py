@@ -42,15 +42,15 @@ def describe_brake(text: RigText, device: DraftDevice) -> None:
     if unit == UNITS["Nm"]:
         return
     rated_Nm = text.get("brake.rated_torque_Nm")
-    most = _most(device, place)
+    largest = _most(device, place)
     if unit == UNITS["A"]:
         amperes = rated_Nm * text.get("brake.coil_A_Nm")
         full, why = amperes / step, f"{amperes:g} A, by brake.coil_A_Nm"
     elif unit == VOLT:
         full, why = FULL_SCALE_V / step, f"{FULL_SCALE_V:g} V"
     else:
-        full, why = most, "the largest count, in a unit that the EDS file does not tell"
-    full = max(1, round(min(full, most)))
+        full, why = largest, "the largest count, in a unit that the EDS file does not tell"
+    full = max(1, round(min(full, largest)))
     text.put(
         "role.brake_setpoint.table",
         [[0, 0.0], [full, float(rated_Nm)]],

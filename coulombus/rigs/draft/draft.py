@@ -144,9 +144,9 @@ class Draft:
 
     def _device(self, device: DraftDevice) -> None:
         """Set the keys of every device; the project's own devices are copied from the packaged rig."""
-        own = load_rig(OWN_RIG).one_axis()
+        packaged = load_rig(OWN_RIG).one_axis()
         if device.own:
-            part = own.part(device.node).model_dump(by_alias=True, exclude_defaults=True)
+            part = packaged.part(device.node).model_dump(by_alias=True, exclude_defaults=True)
             self._replace(device, part | {"node_id": device.node_id, "eds": device.eds})
             return
         base = self.like.motor if device.node == "motor" else self.like.brake
@@ -194,9 +194,9 @@ class Draft:
             ("limits.sign_check_counts", like.limits.sign_check_counts, 3),
         ):
             cycles = 1 if path == "limits.sign_check_counts" else longer
-            most = half // like.limits.missed_tpdo_cycles if path == "limits.encoder_jump_counts" else half
+            largest = half // like.limits.missed_tpdo_cycles if path == "limits.encoder_jump_counts" else half
             whence = f"{value} in the rig {like.rig.name}, of an encoder with other counts at the handle"
-            text.put(path, min(max(least, round(value * finer * cycles)), most))
+            text.put(path, min(max(least, round(value * finer * cycles)), largest))
             text.note(path, whence)
 
     def _truth(self) -> None:

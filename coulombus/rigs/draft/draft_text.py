@@ -99,20 +99,20 @@ class RigText:
             model = None if named else models[""]
             fields = {} if model is None else fields_of(model)
             nested = {part for part, entry in value.items() if named or _is_section(entry)}
-            own = {part: entry for part, entry in value.items() if part not in nested and entry is not None}
+            plain = {part: entry for part, entry in value.items() if part not in nested and entry is not None}
             about = info.description if info and len(key) == 1 else ""
             head = (*(_comment(f"{about[0].upper()}{about[1:]}.") if about else ()), *notes)
-            if own and model is not None:
-                yield from ("", *head, f"[{name}]", *self._keys(key, own, model))
+            if plain and model is not None:
+                yield from ("", *head, f"[{name}]", *self._keys(key, plain, model))
             elif head:
                 yield from ("", *head)
             for part, entry in value.items():
                 if part in nested:
                     yield from self._section((*key, part), entry, info_of(named) if named else fields[part])
 
-    def _keys(self, key: Key, own: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
+    def _keys(self, key: Key, entries: Mapping[str, Any], model: type[BaseModel]) -> Iterator[str]:
         fields = fields_of(model)
-        for name, value in sorted(own.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
+        for name, value in sorted(entries.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
             for text in self.notes.get((*key, name), ()):
                 yield from _comment(text)
             plain = value.tolist() if isinstance(value, np.ndarray) else value  # a phase's columns

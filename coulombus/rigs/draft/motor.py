@@ -77,8 +77,8 @@ def command_of(device: DraftDevice) -> TorqueCommand:
         lacking = f"{says} offers neither cyclic synchronous torque (10) nor profile torque (4)"
     maker = maker_mode(device) if device.axis == 1 else None
     if maker is not None:
-        known = "" if maker.sure else ", by its objects' names: find its number in the manual"
-        return TorqueCommand(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
+        by_name = "" if maker.sure else ", by its objects' names: find its number in the manual"
+        return TorqueCommand(maker.mode, maker, f"{lacking}; this is {maker.name}{by_name}")
     text = f"{_where(device)}: no torque or current set-point that a PDO can carry: {lacking}"
     remedy = _way(device)
     role = f"{'brake' if device.node == 'brake' else 'torque'}_setpoint"
@@ -194,10 +194,10 @@ def _rated_torque(text: RigText, device: DraftDevice) -> float:
     rated, like_Nm = device.value(0x6076), float(text.get("motor.rated_torque_Nm"))
     unit, whence = rated_unit(device)
     if rated:
-        for scale, said in ((unit, whence),) if whence else ((1e-3, MILLI), (1e-6, MICRO)):
+        for scale, unit_text in ((unit, whence),) if whence else ((1e-3, MILLI), (1e-6, MICRO)):
             rated_Nm = float(f"{rated * scale:.6g}")
             if LEAST_TORQUE_Nm <= rated_Nm <= MOST_TORQUE_Nm:
-                source = f"{device.source(0x6076)} has {device.label(RATED_TORQUE)} = {rated}, {said}"
+                source = f"{device.source(0x6076)} has {device.label(RATED_TORQUE)} = {rated}, {unit_text}"
                 text.put("motor.rated_torque_Nm", rated_Nm, f"{source}; {READINGS}")
                 return rated_Nm
     text.put(
@@ -225,10 +225,8 @@ def _position(text: RigText, device: DraftDevice) -> None:
             if scale.by.startswith(device.label((0x608F, 0)))
             else ""
         )
-        asked = any((device.at(index), sub) in device.answers for index, sub in SCALE_OBJECTS)
-        whence = (
-            f"{scale.by} of {'the device' if asked else 'the EDS file'}: {scale.counts_rev:.9g} counts of the position"
-        )
+        from_device = any((device.at(index), sub) in device.answers for index, sub in SCALE_OBJECTS)
+        whence = f"{scale.by} of {'the device' if from_device else 'the EDS file'}: {scale.counts_rev:.9g} counts of the position"
         text.put(key, scale.whole, f"{whence} in one turn of the motor{lines}. {WITNESS}")
     _sense(text, device)
 
@@ -240,11 +238,11 @@ def _sense(text: RigText, device: DraftDevice) -> None:
         return
     sense = polarity(code)
     inverted = [name for name, sign in sense._asdict().items() if sign < 0]
-    told = f"{device.label(POLARITY)} = 0x{code:02X} of {device.source(*POLARITY)} inverts {' and '.join(inverted) or 'nothing'}"
+    source = f"{device.label(POLARITY)} = 0x{code:02X} of {device.source(*POLARITY)} inverts {' and '.join(inverted) or 'nothing'}"
     variable = device.variable(*POLARITY)
     for key, sign in (("encoder_polarity", sense.position), ("motor_polarity", sense.torque)):
         if sign < 0:
-            text.put(f"mechanics.{key}", -text.get(f"mechanics.{key}"), f"{told}; the sign check proves it")
+            text.put(f"mechanics.{key}", -text.get(f"mechanics.{key}"), f"{source}; the sign check proves it")
     if variable.bits == 8 and variable.access not in ("ro", "const", "wo"):
         row = {
             "index": device.at(POLARITY[0]),
@@ -254,7 +252,7 @@ def _sense(text: RigText, device: DraftDevice) -> None:
             "when": "before",
             "verify": True,
         }
-        why = f"{told}; bring-up writes it, as the polarities of [mechanics] go with it"
+        why = f"{source}; bring-up writes it, as the polarities of [mechanics] go with it"
         text.append(f"{device.node}.sdo", row, why)
 
 

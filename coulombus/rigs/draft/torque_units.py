@@ -25,8 +25,8 @@ def unit_of(device: DraftDevice, place: Place) -> str:
     if not device.has(index, subindex):
         return ""
     entry = device.description.objects[device.at(index)]
-    found = UNIT.search(f"{entry.name} {entry.variables[subindex].name}")
-    return found[1].replace(" ", "").replace("\u00b5", "u").replace("\u03bc", "u") if found else ""
+    match = UNIT.search(f"{entry.name} {entry.variables[subindex].name}")
+    return match[1].replace(" ", "").replace("\u00b5", "u").replace("\u03bc", "u") if match else ""
 
 
 def rated_unit(device: DraftDevice) -> tuple[float, str]:

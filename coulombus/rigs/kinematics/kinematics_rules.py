@@ -164,8 +164,10 @@ def _start_pose(kinematics: Kinematics) -> PoseRecord:
 def _check_start(section: tuple[str, ...], start: tuple[float, float], pose: PoseRecord, source: Source) -> None:
     """Note a start that is unreachable or singular."""
     key = (*section, "start_rad")
-    found = condition(pose)
+    condition_number = condition(pose)
     if not all(math.isfinite(value) for value in pose["x_m"]):
         source.stands(key, start, "angles that the mechanism can take: its links do not meet there")
-    elif found < SINGULAR:
-        source.stands(key, start, f"a start that is not singular: the Jacobian's condition is {found:.2g} there")
+    elif condition_number < SINGULAR:
+        source.stands(
+            key, start, f"a start that is not singular: the Jacobian's condition is {condition_number:.2g} there"
+        )

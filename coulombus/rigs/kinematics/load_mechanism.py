@@ -133,9 +133,9 @@ def load_mechanism(kinematics: Kinematics, directory: Path) -> Mechanism:
         mechanism = Mechanism(compile_mechanism(plain, guarded=True), kinematics.record())
     except Exception as error:  # numba raises many kinds
         raise MechanismMistake(f"{place}: it does not compile: {_first_sentence(error)}") from error
-    wrong = _wrong_entry(mechanism, kinematics.start_rad)
-    if wrong:
-        raise MechanismMistake(f"{place}: {wrong}")
+    mistake = _wrong_entry(mechanism, kinematics.start_rad)
+    if mistake:
+        raise MechanismMistake(f"{place}: {mistake}")
     return mechanism
 
 
@@ -161,8 +161,8 @@ def _function_of_file(file: str, name: str, directory: Path) -> Any:
         raise MechanismMistake(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
     function = getattr(getattr(module, name, None), "py_func", getattr(module, name, None))
     if not inspect.isfunction(function):
-        known = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
-        raise MechanismMistake(f"{path} has no function '{name}'; it has {', '.join(known) or 'none'}")
+        functions = [key for key, value in vars(module).items() if inspect.isfunction(value) and key[0] != "_"]
+        raise MechanismMistake(f"{path} has no function '{name}'; it has {', '.join(functions) or 'none'}")
     if len(inspect.signature(function).parameters) != 2:
         place = f"{path}:{function.__code__.co_firstlineno}"
         raise MechanismMistake(f"{place}: a mechanism takes two arguments, (m, pose)")
@@ -179,16 +179,16 @@ def _wrong_entry(mechanism: Mechanism, start_rad: tuple[float, float]) -> str:
             if k == 0:
                 return f"at kinematics.start_rad it gives no finite tip and Jacobian: x_m = {pose['x_m'].tolist()}"
             continue
-        given, scale = pose["jacobian"].copy(), float(np.abs(pose["jacobian"]).max())
+        jacobian, scale = pose["jacobian"].copy(), float(np.abs(pose["jacobian"]).max())
         for i in range(2):
             step = STEP_RAD * np.eye(2)[i]
             difference = (mechanism.pose(*(q + step))["x_m"] - mechanism.pose(*(q - step))["x_m"]) / (2 * STEP_RAD)
             for row in range(2):
-                off = abs(given[row, i] - difference[row])
+                off = abs(jacobian[row, i] - difference[row])
                 if off > TOLERANCE * max(scale, float(np.abs(difference).max())):
                     return (
                         f"the Jacobian is not that of the kinematics: at q = ({q[0]:.3f}, {q[1]:.3f}) rad "
                         f"d{names[row]}/dq{i + 1} is {difference[row]:.6g} m/rad by central differences, "
-                        f"and jacobian[{row}, {i}] gives {given[row, i]:.6g}"
+                        f"and jacobian[{row}, {i}] gives {jacobian[row, i]:.6g}"
                     )
     return ""

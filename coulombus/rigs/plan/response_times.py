@@ -164,23 +164,23 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
     ValueError
         Two messages have one identifier, or `follows` names no message.
     """
-    order = sorted(messages, key=lambda message: message.key)
-    for first, second in pairwise(order):
+    by_priority = sorted(messages, key=lambda message: message.key)
+    for first, second in pairwise(by_priority):
         if first.can_id == second.can_id:
             raise ValueError(
                 f"{first.name} and {second.name} both have the identifier {first.can_id:X}h: give each its own"
             )
-    names = {message.name for message in order}
-    for message in order:
+    names = {message.name for message in by_priority}
+    for message in by_priority:
         if message.follows and message.follows not in names:
             raise ValueError(f"{message.name} follows {message.follows!r}, which is not among the messages")
-    frames = [bit_ns(message.bits, bitrate_bit_s) for message in order]
-    late = list(order)  # with inherited jitter
+    frames = [bit_ns(message.bits, bitrate_bit_s) for message in by_priority]
+    late = list(by_priority)  # with inherited jitter
     responses: list[Response] = []
     for _ in range(MAX_ROUNDS):
         by_name = {response.message.name: response for response in responses}
-        grown = len(order)  # the first rank to recompute
-        for rank, message in enumerate(order):
+        grown = len(by_priority)  # the first rank to recompute
+        for rank, message in enumerate(by_priority):
             if message.follows in by_name:
                 jitter = message.jitter_ns + by_name[message.follows].response_ns
                 if jitter != late[rank].jitter_ns:
@@ -189,7 +189,9 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
                 response = replace(_response(rank, late, frames, bitrate_bit_s, errors), message=message)
                 by_name[message.name] = response
                 responses[rank : rank + 1] = [response]
-        if grown == len(order) or any(m.jitter_ns > max(m.deadline_ns, MAX_JITTER_PERIODS * m.period_ns) for m in late):
+        if grown == len(by_priority) or any(
+            m.jitter_ns > max(m.deadline_ns, MAX_JITTER_PERIODS * m.period_ns) for m in late
+        ):
             break
     lost = {response.message.name for response in responses if not response.bounded}
     for rank, response in enumerate(responses):
@@ -199,12 +201,12 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
 
 
 def _response(
-    rank: int, order: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
+    rank: int, by_priority: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
 ) -> Response:
-    """Return the response of `order[rank]`; all jitters are set; `frames` are the durations."""
+    """Return the response of `by_priority[rank]`; all jitters are set; `frames` are the durations."""
     tau = bit_ns(1, bitrate_bit_s)
-    m, own = order[rank], frames[rank]
-    higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(order[:rank], frames, strict=False)]
+    m, duration = by_priority[rank], frames[rank]
+    higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(by_priority[:rank], frames, strict=False)]
     periods, jitters, durations = np.array(higher, np.int64).reshape(-1, 3).T
 
     def interference(window_ns: int) -> int:
@@ -214,16 +216,16 @@ def _response(
     blocking = max(frames[rank + 1 :], default=0)
     each = bit_ns(ERROR_FRAME_BITS, bitrate_bit_s) + max(frames[: rank + 1])
     load = sum(c / t for t, _, c in higher) + errors.count * each / errors.interval_ns
-    bounded = load + own / m.period_ns < 1.0
+    bounded = load + duration / m.period_ns < 1.0
     instances = 1
     if bounded:
-        everyone = [*higher, (m.period_ns, m.jitter_ns, own)]
-        free = 1.0 - load - own / m.period_ns
+        everyone = [*higher, (m.period_ns, m.jitter_ns, duration)]
+        free = 1.0 - load - duration / m.period_ns
         below = (blocking + sum(c * j / period for period, j, c in everyone)) / free  # lower bound of the solution
-        t = max(own, int(below * (1 - 1e-9)))
+        t = max(duration, int(below * (1 - 1e-9)))
         while t <= MAX_INSTANCES * m.period_ns:
             after = errors.cost_ns(t, each) + blocking
-            after += interference(t) + -(-(t + m.jitter_ns) // m.period_ns) * own
+            after += interference(t) + -(-(t + m.jitter_ns) // m.period_ns) * duration
             if after <= t:
                 break
             t = after
@@ -233,11 +235,11 @@ def _response(
     w = blocking
     for q in range(instances if bounded else 1):
         while True:
-            after = errors.cost_ns(w + own, each) + blocking + q * own
+            after = errors.cost_ns(w + duration, each) + blocking + q * duration
             after += interference(w + tau)
-            if after <= w or (not bounded and m.jitter_ns + after + own > m.deadline_ns):
+            if after <= w or (not bounded and m.jitter_ns + after + duration > m.deadline_ns):
                 break
             w = after
-        worst = max(worst, m.jitter_ns + w - q * m.period_ns + own)
-        w += own  # the next instance cannot be sooner
-    return Response(m, own, blocking, m.jitter_ns, worst, bounded)
+        worst = max(worst, m.jitter_ns + w - q * m.period_ns + duration)
+        w += duration  # the next instance cannot be sooner
+    return Response(m, duration, blocking, m.jitter_ns, worst, bounded)

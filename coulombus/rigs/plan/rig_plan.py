@@ -117,7 +117,7 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
     for pdo in rig.pdos():
         layout = pdo.layout
         pdos.setdefault(pdo.node, []).append(Pdo(layout.direction, layout.number, layout.cob_id, layout.length))
-    own = [
+    of_rig = [
         DeviceTraffic(
             axis.prefix + node,
             number,
@@ -139,11 +139,11 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
         )
     ]
     count = len(rig.axes) if axes is None else axes
-    node_ids = {rig.host.node_id, *(device.node_id for device in own)}
+    node_ids = {rig.host.node_id, *(device.node_id for device in of_rig)}
     free = (node_id for node_id in range(1, LAST_NODE_ID + 1) if node_id not in node_ids)
-    devices = [device for device in own if device.axis < count]
+    devices = [device for device in of_rig if device.axis < count]
     for number in range(len(rig.axes), count):
-        for device in own:
+        for device in of_rig:
             if device.axis == number % len(rig.axes):
                 node_id = next(free, None)
                 if node_id is None:
@@ -234,8 +234,8 @@ class Plan:
 
     def cycle_under(self, interferes: Callable[[Message], bool]) -> Cycle:
         """Return the worst cycle when only some of the messages outside it are sent."""
-        chosen = [message for message in self.messages if message.stage or interferes(message)]
-        return worst_cycle(chosen, self.timing, self.assumptions.errors)
+        messages = [message for message in self.messages if message.stage or interferes(message)]
+        return worst_cycle(messages, self.timing, self.assumptions.errors)
 
     @property
     def utilisation(self) -> float:
@@ -333,13 +333,13 @@ def plan(
     """
     if len(rig.channels) > 1:
         raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
-    given = assumptions or Assumptions()
+    assumed = assumptions or Assumptions()
     period = rig.bus.period_ns if period_ns is None else period_ns
     window = round(to_ns(rig.bus.tpdo_window_s) * period / rig.bus.period_ns)
-    host = to_ns(rig.host.compute_s) if given.host_ns is None else given.host_ns
+    host = to_ns(rig.host.compute_s) if assumed.host_ns is None else assumed.host_ns
     devices = devices_of(rig, period, axes)
-    if given.node_ns is not None:
-        devices = tuple(replace(device, response_ns=given.node_ns) for device in devices)
+    if assumed.node_ns is not None:
+        devices = tuple(replace(device, response_ns=assumed.node_ns) for device in devices)
     slowest = max(device.response_ns for device in devices)
     timing = Timing(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, slowest, host)
     messages = messages_of(
@@ -348,9 +348,9 @@ def plan(
         host_heartbeat_ns=to_ns(rig.host.heartbeat_s),
         sdo_timeout_ns=to_ns(rig.host.sdo_timeout_s),
         timing=timing,
-        sporadic_ns=given.sporadic_ns or SPORADIC_PERIODS * period,
+        sporadic_ns=assumed.sporadic_ns or SPORADIC_PERIODS * period,
     )
-    return Plan(timing, given, messages, len(rig.axes) if axes is None else axes)
+    return Plan(timing, assumed, messages, len(rig.axes) if axes is None else axes)
 
 
 def plans(rig: Rig, **options: Any) -> dict[str, Plan]:

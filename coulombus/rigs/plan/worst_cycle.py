@@ -99,9 +99,9 @@ def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO
     follows it, and the device acts on it. SYNC would wait as long for a frame from outside, so the next cycle's bounds
     stay valid; an RPDO that is longer than any such frame is due earlier.
     """
-    order = sorted(messages, key=lambda message: message.key)
-    chain = _in_order([m for m in order if m.stage])
-    others = [m for m in order if not m.stage]
+    by_priority = sorted(messages, key=lambda message: message.key)
+    chain = _in_order([m for m in by_priority if m.stage])
+    others = [m for m in by_priority if not m.stage]
     cases = [_Case(m, chain, others, timing, errors) for m in chain]
     frames = tuple(CycleFrame(case.m, case.end_ns, _due_ns(case, cases[0])) for case in cases)
     last = max(cases, key=lambda case: case.end_ns, default=None)

@@ -80,14 +80,14 @@ def hierarchical(posteriors: Mapping[str, Posterior]) -> GroupFit | None:
     theta = _quantiles(middle, weight.sum(axis=1))
     tau = _quantiles(spread, weight.sum(axis=0))
     means = (kernel @ (likelihood * log_sigma).T) / each_subject
-    own = np.exp(np.einsum("mt,mts->s", weight, means)) * QUARTER
+    jnds = np.exp(np.einsum("mt,mts->s", weight, means)) * QUARTER
     return GroupFit(
         subjects=len(posteriors),
         jnd=float(np.exp(theta[1]) * QUARTER),
         jnd_95=(float(np.exp(theta[0]) * QUARTER), float(np.exp(theta[2]) * QUARTER)),
         spread=float(tau[1]),
         spread_95=(float(tau[0]), float(tau[2])),
-        subject_jnd=dict(zip(posteriors, own.tolist(), strict=True)),
+        subject_jnd=dict(zip(posteriors, jnds.tolist(), strict=True)),
     )
 
 

@@ -36,18 +36,18 @@ def write_figures(results: Mapping[str, Any], folder: Path) -> list[Path]:
         for name, condition_has, draw in _OF_SUBJECTS:
             shown = {key: condition for key, condition in conditions.items() if condition_has(condition)}
             if shown:
-                with figure(6.0, 4.0 + 0.2 * len(shown)) as (made, axes):
+                with figure(6.0, 4.0 + 0.2 * len(shown)) as (fig, axes):
                     draw(axes, shown, named, unit)
                     axes.set_title(f"{study}subject {subject}")
-                    made.legend(loc="outside lower left")
-                    paths += save(made, folder, f"sub-{subject}_{name}")
+                    fig.legend(loc="outside lower left")
+                    paths += save(fig, folder, f"sub-{subject}_{name}")
     if (
         any(condition["jnd"] is not None for condition in results["conditions"].values())
         and len(results["subjects"]) > 1
     ):
-        with figure(6.0, 4.0) as (made, axes):
+        with figure(6.0, 4.0) as (fig, axes):
             draw_conditions(axes, results, unit)
-            paths += save(made, folder, "conditions")
+            paths += save(fig, folder, "conditions")
     write_whole(folder / "report.md", page(results, paths).encode())
     return [*paths, folder / "report.md"]
 
@@ -58,7 +58,7 @@ def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: st
 
     The area of a point is proportional to its number of answers.
     """
-    most = max(count for condition in shown.values() for _, count in condition["levels"].values())
+    largest_count = max(count for condition in shown.values() for _, count in condition["levels"].values())
     axes.axhline(CHANCE, color=GREY, lw=0.8, ls="--", zorder=0)
     axes.annotate(
         "chance", (1.0, CHANCE), (-2, 2), "axes fraction", "offset points", ha="right", color=GREY, fontsize=8
@@ -67,7 +67,7 @@ def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: st
         fit, colour = Fit(**condition["fit"]), COLOURS[k % len(COLOURS)]
         levels = np.array([float(level) for level in condition["levels"]])
         counts = np.array(list(condition["levels"].values()), float)
-        sizes = LARGEST_POINT * counts[:, 1] / most
+        sizes = LARGEST_POINT * counts[:, 1] / largest_count
         axes.scatter(levels, counts[:, 0] / counts[:, 1], s=sizes, color=colour, alpha=0.5, lw=0)
         if condition.get("band_95") is not None:
             band = condition["band_95"]
@@ -79,7 +79,7 @@ def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: st
         axes.plot([fit.pse, fit.pse], [-0.03, at], color=colour, lw=0.8, ls=":")
         axes.plot(fit.pse_95, [at, at], color=colour, lw=1.6)
         axes.plot(fit.pse, at, marker="|", ms=10, mew=1.6, color=colour)
-    axes.scatter([], [], s=LARGEST_POINT, color=GREY, alpha=0.5, lw=0, label=f"{most} answers; area by number")
+    axes.scatter([], [], s=LARGEST_POINT, color=GREY, alpha=0.5, lw=0, label=f"{largest_count} answers; area by number")
     axes.fill_between([], [], [], color=GREY, alpha=0.15, lw=0, label="95 % of the function; bar: of the PSE")
     axes.set(xlabel=level, ylabel="proportion judged larger", ylim=(-0.03, 1.03))
     edge = 0.04 * (axes.get_xlim()[1] - axes.get_xlim()[0])

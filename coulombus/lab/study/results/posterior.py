@@ -82,7 +82,7 @@ def counted(
     trials = np.stack([np.asarray(levels, float) - reference, order], axis=1)
     cells, where = np.unique(trials, axis=0, return_inverse=True)
     where = where.ravel()
-    hits, misses = (np.asarray(np.bincount(where, given, len(cells)), float) for given in (judged, ~judged))
+    hits, misses = (np.asarray(np.bincount(where, answers, len(cells)), float) for answers in (judged, ~judged))
     return Answers(cells[:, 0], cells[:, 1], hits, misses)
 
 
@@ -137,9 +137,9 @@ class Posterior:
         quantiles at each distance, shape (n, number of shares)
         """
         weight = self.weight.ravel()
-        kept = np.flatnonzero(weight > NEGLIGIBLE_WEIGHT * weight.max())
-        sigma, shift, bias, lapse = np.unravel_index(kept, self.weight.shape)
-        share, lapses = weight[kept] / weight[kept].sum(), self.lapse[lapse]
+        likely = np.flatnonzero(weight > NEGLIGIBLE_WEIGHT * weight.max())
+        sigma, shift, bias, lapse = np.unravel_index(likely, self.weight.shape)
+        share, lapses = weight[likely] / weight[likely].sum(), self.lapse[lapse]
         rows = []
         for distance in distances:
             z = distance / np.exp(self.log_sigma[sigma]) - self.shift[shift]
@@ -149,9 +149,9 @@ class Posterior:
 
 
 def _quantiles(values: Floats, weight: Floats, shares: Sequence[float]) -> Floats:
-    order = np.argsort(values, kind="stable")
-    share = np.cumsum(weight[order]) - weight[order] / 2
-    return np.asarray(np.interp(shares, share, values[order]), float)
+    ranking = np.argsort(values, kind="stable")
+    share = np.cumsum(weight[ranking]) - weight[ranking] / 2
+    return np.asarray(np.interp(shares, share, values[ranking]), float)
 
 
 def posterior(answers: Answers) -> Posterior:

@@ -96,14 +96,14 @@ def _subject(
     names = dict.fromkeys(row["condition"] for row in counted)
     conditions = {}
     for name in names:
-        own = [row for row in counted if row["condition"] == name]
-        conditions[name], posterior = _condition(own, kind)
+        of_condition = [row for row in counted if row["condition"] == name]
+        conditions[name], posterior = _condition(of_condition, kind)
         if posterior is not None:
             posteriors[subject, name] = posterior
-        if exploration or all(row["answer"] == "n/a" for row in own):
-            conditions[name]["exploration"] = _explored(recordings, own)
+        if exploration or all(row["answer"] == "n/a" for row in of_condition):
+            conditions[name]["exploration"] = _explored(recordings, of_condition)
         if felt and conditions[name]["fit"] is not None:
-            conditions[name]["felt"] = _felt(recordings, own)
+            conditions[name]["felt"] = _felt(recordings, of_condition)
     return conditions
 
 
@@ -115,11 +115,12 @@ def _study_of(folder: Path) -> dict[str, Any]:
     try:
         study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
         shares = {key: abs(float(share)) for key, share in study["level"].items()}
-        own = max(shares, key=lambda key: -abs(shares[key] - 1.0)).rpartition(".")[2]  # the level itself, if it is set
+        # the level itself, if it is set
+        level_key = max(shares, key=lambda key: -abs(shares[key] - 1.0)).rpartition(".")[2]
         head |= {"name": str(study["name"]), "kind": str(study["method"]["kind"])}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return head
-    return head | {"level": {"quantity": without_unit(own), "unit": unit_of(own)}}
+    return head | {"level": {"quantity": without_unit(level_key), "unit": unit_of(level_key)}}
 
 
 def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:

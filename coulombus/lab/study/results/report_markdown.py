@@ -69,6 +69,6 @@ def _felt_cells(felt: Mapping[str, Any] | None) -> tuple[str, str, str]:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Return a table of Markdown without the columns that are empty."""
-    kept = [k for k in range(len(head)) if any(str(row[k]) for row in rows)]
+    filled = [k for k in range(len(head)) if any(str(row[k]) for row in rows)]
     lines_of = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(row[k]).replace("|", "\\|") for k in kept) + " |" for row in lines_of)
+    return "\n".join("| " + " | ".join(str(row[k]).replace("|", "\\|") for k in filled) + " |" for row in lines_of)
