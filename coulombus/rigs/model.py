@@ -262,6 +262,9 @@ class Mode(Section):
     F_d_Nm: float = Field(ge=0, le=1e4, description="dynamic friction; the law coulomb's c")
     compensation: float = Field(ge=0, le=0.97, description="share of friction_Nm that the motor compensates")
     motor_limit_Nm: float = Field(ge=0, le=1e4, description="limit of the motor's torque, at the handle")
+    inertia_compensation: float = Field(
+        0.0, ge=0, le=0.8, description="share of the arm's inertia in the plane that the motors compensate"
+    )
 
 
 class Modes(Section):

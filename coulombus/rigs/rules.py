@@ -98,6 +98,7 @@ RULES = (
     ),
     _rule("mode.passive.motor_limit_Nm", _zero, "0: the motor has no part in this mode"),
     _rule("mode.passive.compensation", _zero, "0: the motor has no part in this mode"),
+    _rule("mode.passive.inertia_compensation", _zero, "0: the motor has no part in this mode"),
     _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm, which is {1}"),
     _rule(
         "limits.net_work_window_s bus.period_s",

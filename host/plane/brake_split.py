@@ -163,7 +163,7 @@ def slip(
         s.ahead_Nm[i] = _ahead(c, s, i)
         passive = -sense * (s.ahead_Nm[i] + c.friction_Nm[i])
         most = max(c.motor_limit_Nm[i] - abs(push), 0.0)
-        rest = torque + soon * (s.ahead_Nm[i] + c.compensation_Nm[i])
+        rest = torque + soon * (s.ahead_Nm[i] + c.compensation_Nm[i]) + s.inertia_Nm[i]
         s.motor_Nm[i] = min(max(rest, -most), most)
         if c.motor_limit_Nm[i] > 0.0 and abs(rest) > most:
             s.clipped[i] = 1

@@ -12,6 +12,7 @@ from coulombus.host.plane.plane_host_record import ACTIVE, HYBRID, PASSIVE, TRAC
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.kernels.records import RecordArray, new_records
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, MechanismMistake, load_mechanism
 from coulombus.rigs.rig import Rig, RigError
 
@@ -20,6 +21,8 @@ __all__ = ["PLANE_MODES", "TURN_S", "PlaneModel", "load_plane", "new_plane_host"
 PLANE_MODES = {"active": ACTIVE, "passive": PASSIVE, "hybrid": HYBRID}
 TURN_S = 0.08
 """Time over which the change of the speeds is computed, to predict the tip's direction."""
+BEND_S = 0.02
+"""Time between two of the three positions of which an acceleration is computed, to compensate the arm's inertia."""
 REVERSAL_LAGS = 4.0
 """A brake is released early if its joint will come to rest within this many of its lags."""
 
@@ -81,13 +84,18 @@ def load_plane(rig: Rig, mode: str) -> PlaneModel | None:
         raise axis.mistake("law.function", f"a law in the plane; {error}") from error
     except MechanismMistake as error:
         raise RigError([f"{rig.path}: kinematics.kind: got '{kinematics.kind}', but {error}"]) from error
+    if axis.mode[mode].inertia_compensation > 0.0 and kinematics.l1_m and not any(kinematics.link_mass_kg):
+        raise axis.mistake(f"mode.{mode}.inertia_compensation", "0 without kinematics.link_mass_kg: the links' masses")
     parameters = axis_parameters(axis, law.declaration, mode)
     return PlaneModel(PlaneLaw(law.name, law.function, law.declaration, parameters), mechanism)
 
 
 def _refuse_plane_law(rig: Rig) -> None:
-    """Refuse a law in the plane for independent axes."""
+    """Refuse what only a rig in the plane has, for independent axes."""
     for axis in rig.axes:
+        for name in axis.mode:
+            if axis.mode[name].inertia_compensation > 0.0:
+                raise axis.mistake(f"mode.{name}.inertia_compensation", "0, since the rig has no [kinematics]")
         if axis.law.function.strip() in PLANE_LAWS:
             raise axis.mistake(
                 "law.function", f"a law of one axis, since the rig has no [kinematics]: {', '.join(BUILTIN_LAWS)}"
@@ -130,7 +138,28 @@ def new_plane_host(
     c["reversal_s"] = [REVERSAL_LAGS * _lag_s(axis) for axis in rig.axes]
     c["coil_step"] = [_step(axis.brake.coil_lag_s, T) for axis in rig.axes]
     c["fluid_step"] = [_step(axis.brake.fluid_lag_s, T) for axis in rig.axes]
+    share = min(chosen.inertia_compensation for chosen in modes)
+    if share > 0.0:
+        inertia_kg_m2, tip_mass_kg = _arm(rig, kinematics)
+        c["inertia_kg_m2"], c["tip_mass_kg"] = [share * part for part in inertia_kg_m2], share * tip_mass_kg
+        h["bend_cycles"] = min(max(round(BEND_S / T), 1), TRACK // 2 - 1)
     return record
+
+
+def _arm(rig: Rig, kinematics: Kinematics) -> tuple[tuple[float, float, float], float]:
+    """Return the arm as the inertias of its joints (11, 12, 22) and a mass at the tip.
+
+    The second link is split into a mass at the tip with the same first moment, and an inertia: for two links in
+    series this is the exact matrix of inertia.
+    """
+    (m1, m2), (c1, c2), (i1, i2) = kinematics.link_mass_kg, kinematics.link_centre_m, kinematics.link_inertia_kg_m2
+    l1, l2 = kinematics.l1_m or 0.0, kinematics.l2_m or 1.0
+    joint1, joint2 = (axis.mechanics.inertia_kg_m2 for axis in rig.axes)
+    tip = m2 * c2 / l2
+    second = i2 + m2 * c2**2 - tip * l2**2
+    first = i1 + m1 * c1**2 + (m2 - tip) * l1**2 + second
+    both = kinematics.signs[0] * kinematics.signs[1] * second
+    return (joint1 + first, both, joint2 + second), tip
 
 
 def _lag_s(axis: Axis) -> float:

@@ -27,6 +27,8 @@ class SplitControlRecord(Record):
     reversal_s: Annotated[FloatField, JOINTS]  # time before a joint comes to rest in which its brake is released
     lead_s: float  # time from the measured speeds to the effect of the commands
     period_s: float
+    inertia_kg_m2: Annotated[FloatField, 3]  # the part of the joints' inertia (11, 12, 22) that the motors compensate
+    tip_mass_kg: float  # the part of the arm's mass at the tip that the motors compensate
     passivity_J: float  # largest excess of the motors' work over the absorbed energy
 
 
@@ -42,6 +44,7 @@ class SplitStateRecord(Record):
     ahead_Nm: Annotated[FloatField, JOINTS]  # modelled brake torque at the end of the cycle in which the commands act
     motor_J: Annotated[FloatField, JOINTS]  # net work of each motor on its joint
     taken_J: float  # energy of the joints' motion absorbed by motors, brakes and friction together
+    inertia_Nm: Annotated[FloatField, JOINTS]  # torques that move the arm in place of the hand
     push_Nm: Annotated[FloatField, JOINTS]  # the part of the motors' torques that pushes back (a wall's spring)
     clipped: Annotated[IntegerField, JOINTS]  # 1: a limit of motor or brake changes the law's output
     withheld: int  # cycles in which the motors' torques were reduced to stay passive
@@ -65,6 +68,8 @@ class PlaneHostRecord(Record):
     counts: Annotated[IntegerField, JOINTS]  # encoders
     hand_Nm: Annotated[FloatField, JOINTS]  # transducers: the hand's torques on the joints
     track: Annotated[IntegerField, (TRACK, JOINTS)]  # counts of the last cycles
+    track_m: Annotated[FloatField, (TRACK, 2)]  # the tip's positions in the last cycles
+    bend_cycles: int  # time between the positions of which an acceleration is computed; 0: no inertia is compensated
     cycle: int
     v_rad_s: Annotated[FloatField, JOINTS]
     rate_rad_s2: Annotated[FloatField, JOINTS]  # change of the speeds over `turn_cycles`

@@ -77,6 +77,7 @@ def share_out(h: PlaneHostRecord) -> None:
     if h.hold_N > 0.0:
         hold(h.control, h.split, h.pose, h.hold_N, h.hand_Nm)
     else:
+        _compensate_inertia(h)
         slip(h.control, h.split, h.pose, h.psi_N, h.push_N, h.v_rad_s, h.rate_rad_s2, h.hand_Nm)
 
 
@@ -94,6 +95,7 @@ def measure_plane(mechanism: MechanismFunction, h: PlaneHostRecord) -> None:
     h.condition = condition(h.pose)
     a, b, d, e = h.pose.jacobian[0, 0], h.pose.jacobian[0, 1], h.pose.jacobian[1, 0], h.pose.jacobian[1, 1]
     determinant = a * e - b * d
+    h.track_m[h.cycle % TRACK, 0], h.track_m[h.cycle % TRACK, 1] = h.pose.x_m[0], h.pose.x_m[1]
     motion = h.motion
     motion.dt_s = h.control.period_s
     motion.x_m[0], motion.x_m[1] = h.pose.x_m[0], h.pose.x_m[1]
@@ -119,6 +121,29 @@ def _rate(h: PlaneHostRecord, joint: int) -> float:
     moved = h.track[(h.cycle - back) % TRACK, joint] - h.track[(h.cycle - back - window) % TRACK, joint]
     earlier = moved * h.count_rad[joint] / (window * h.control.period_s)
     return (h.v_rad_s[joint] - earlier) / (back * h.control.period_s)
+
+
+@kernel
+def _compensate_inertia(h: PlaneHostRecord) -> None:
+    """Set the torques that move a part of the arm's inertia in place of the hand.
+
+    The arm is a mass at the tip and the inertias of the joints. The accelerations are second differences of the
+    encoders' counts, and of the tip's positions: so the latter contains the centripetal part. A spring that
+    pushes back needs the whole inertia for its stability, and so nothing is compensated there.
+    """
+    c, s, back, last = h.control, h.split, h.bend_cycles, h.cycle - 1
+    s.inertia_Nm[0] = s.inertia_Nm[1] = 0.0
+    if back <= 0 or last < 2 * back or h.push_N[0] != 0.0 or h.push_N[1] != 0.0:
+        return
+    now, middle, before = last % TRACK, (last - back) % TRACK, (last - 2 * back) % TRACK
+    per_s2 = h.gain / (back * c.period_s) ** 2
+    q1 = (h.track[now, 0] - 2 * h.track[middle, 0] + h.track[before, 0]) * h.count_rad[0] * per_s2
+    q2 = (h.track[now, 1] - 2 * h.track[middle, 1] + h.track[before, 1]) * h.count_rad[1] * per_s2
+    fx = c.tip_mass_kg * (h.track_m[now, 0] - 2.0 * h.track_m[middle, 0] + h.track_m[before, 0]) * per_s2
+    fy = c.tip_mass_kg * (h.track_m[now, 1] - 2.0 * h.track_m[middle, 1] + h.track_m[before, 1]) * per_s2
+    own, jacobian = c.inertia_kg_m2, h.pose.jacobian
+    s.inertia_Nm[0] = own[0] * q1 + own[1] * q2 + jacobian[0, 0] * fx + jacobian[1, 0] * fy
+    s.inertia_Nm[1] = own[1] * q1 + own[2] * q2 + jacobian[0, 1] * fx + jacobian[1, 1] * fy
 
 
 @kernel

@@ -41,6 +41,42 @@ def drawn(elbow, frequency, *overrides, laps=2.5, **run):
     return course, course.display_errors(from_s=1.0 + 0.5 / frequency)
 
 
+LINKS = tuple(
+    f"kinematics.link_{name}=[{value}, {value}]"
+    for name, value in (("mass_kg", 0.3), ("centre_m", 0.1), ("inertia_kg_m2", 1e-3))
+)
+
+HEAVIER_KG = 0.54
+"""The arm's mass at the tip along its heavier direction, with an elbow of 110 degrees."""
+BOUND_NS_M = 0.88 * 0.8 * HEAVIER_KG * 2 * math.pi * 9.0
+
+
+def swing_m_s(k, damping_Ns_m, friction_Nm):
+    """Return the tip's speed 4 s after a tap, without friction, in a springy hand of 9 Hz."""
+    stiffness = (2 * math.pi * 9.0) ** 2 * (HEAVIER_KG + 0.05)
+    hand = (f"plane.hand_{name}=[{value}, {value}]" for name, value in
+            (("damping_Ns_m", damping_Ns_m), ("stiffness_N_m", stiffness)))  # fmt: skip
+    beliefs = (f"mechanics.friction_Nm={friction_Nm}", "mode.hybrid.compensation=0.0")
+    truth = ("plant.coulomb_Nm=0", "plant.brake_off_state_Nm=0", "plane.hand_mass_kg=0.05")
+    rig, x = rig_at(110, *LINKS, *hand, *beliefs, *truth, f"mode.hybrid.inertia_compensation={k}")
+    push = np.zeros((2501, 2))
+    push[100:110] = 3.0
+    run = PlaneRun("hybrid", load_plane_law("plane_viscous", ["B_Ns_m=0"]), period_s=0.002, window_cycles=4)
+    speed = np.hypot(*simulate_plane(rig, np.tile([x, 0.0], (2501, 1)), run, push).vectors("vx_m_s", "vy_m_s").T)
+    return float(speed[-250:].max())
+
+
+def test_a_springy_hand_rings_beyond_the_bound_of_the_compensated_inertia_and_within_it_does_not():
+    """A friction that the host believes far too high frees the motors from the split's bound of the power."""
+    assert swing_m_s(0.8, 1.1 * BOUND_NS_M, friction_Nm=1.5) < 0.01
+    assert swing_m_s(0.8, 0.9 * BOUND_NS_M, friction_Nm=1.5) > 0.1
+    assert swing_m_s(0.0, 0.9 * BOUND_NS_M, friction_Nm=1.5) < 1e-3
+
+
+def test_the_splits_bound_of_the_power_keeps_such_a_hand_quiet():
+    assert swing_m_s(0.8, 0.75 * BOUND_NS_M, friction_Nm=0.0) < 1e-3
+
+
 def held(elbow, mode):
     rig, x = rig_at(elbow)
     t = np.arange(3001) * 1e-3

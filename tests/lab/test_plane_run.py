@@ -78,14 +78,15 @@ def test_the_motors_energy_is_bounded_by_what_the_whole_absorbs(shown):
         assert 0.15 < figures["smallest_condition"] < 0.6
 
 
-def circle(elbow_deg, rest_s, circle_s, frequency_Hz, seconds):
+def circle(elbow_deg, rest_s, circle_s, frequency_Hz, seconds, *overrides):
     """Return the figures of a circle of 5 cm, with the elbow at an angle."""
     q2 = math.radians(elbow_deg)
     phases = (
         f'phase=[{{kind = "rest", duration_s = {rest_s}}}, {{kind = "tip_circle", duration_s = {circle_s}, '
         f"radius_m = 0.05, frequency_Hz = {frequency_Hz}}}]"
     )
-    return simulate("plane", "hybrid", seconds, overrides=(f"kinematics.start_rad=[{-q2 / 2}, {q2}]", phases)).plane
+    start = f"kinematics.start_rad=[{-q2 / 2}, {q2}]"
+    return simulate("plane", "hybrid", seconds, overrides=(start, phases, *overrides)).plane
 
 
 @pytest.mark.parametrize("elbow_deg", [75, 90, 130])
@@ -104,6 +105,31 @@ def test_the_hand_also_feels_the_arms_inertia():
     assert felt["angle_error_deg"]["p95"] == pytest.approx(30.4, abs=3.0)
     assert felt["force_ratio"] == pytest.approx(1.08, abs=0.01)
     assert figures["angle_error_deg"]["p95"] < 3.0
+
+
+def test_motors_that_move_the_arm_take_its_inertia_off_the_hand():
+    links = (
+        f"kinematics.link_{key}" for key in ("mass_kg=[0.3, 0.3]", "centre_m=[0.1, 0.1]", "inertia_kg_m2=[1e-3, 1e-3]")
+    )
+    felt = circle(110, 1.5, 4.5, 1.0, 6.0, *links, "mode.hybrid.inertia_compensation=0.8")["felt"]
+    assert felt["angle_error_deg"]["median"] < 3.0
+    assert felt["angle_error_deg"]["p95"] < 9.0
+    assert felt["force_ratio"] == pytest.approx(1.0, abs=0.02)
+    assert felt["force_ratio_p95"] < 0.12
+
+
+@pytest.mark.parametrize(
+    ("rig", "override", "expected"),
+    [
+        ("plane", "mode.hybrid.inertia_compensation=0.5", "expected 0 without kinematics.link_mass_kg"),
+        ("bench", "mode.hybrid.inertia_compensation=0.5", r"expected 0, since the rig has no \[kinematics\]"),
+        ("plane", "mode.passive.inertia_compensation=0.5", "expected 0: the motor has no part"),
+        ("plane", "kinematics.link_mass_kg=[-0.3, 0.3]", "expected two numbers from 0 on"),
+    ],
+)
+def test_a_compensation_that_cannot_be_is_refused(rig, override, expected):
+    with pytest.raises(RigError, match=expected):
+        simulate(rig, "hybrid", 1.0, overrides=(override,))
 
 
 @pytest.mark.parametrize("elbow_deg", [90, 110, 130])

@@ -112,6 +112,7 @@ def check_kinematics(kinematics: Kinematics, source: Source, *, attached: bool =
         if limits is not None and not limits[0] < limits[1]:
             source.stands(("kinematics", name), limits, "two numbers that grow, in m")
     _check_signs(("kinematics", "signs"), kinematics.signs, source)
+    _check_links(kinematics, source)
     if kinematics.radii_m_rad is not None and 0.0 in kinematics.radii_m_rad:
         source.stands(("kinematics", "radii_m_rad"), kinematics.radii_m_rad, "two numbers that are not 0, in m/rad")
     if any(key[0] == "kinematics" for key in source.wrong):
@@ -151,6 +152,16 @@ def _check_truth(sections: PlaneSections, source: Source) -> None:
 def _check_signs(key: tuple[str, ...], signs: tuple[int, int], source: Source) -> None:
     if not set(signs) <= {1, -1}:
         source.stands(key, signs, "two numbers, each 1 or -1")
+
+
+def _check_links(kinematics: Kinematics, source: Source) -> None:
+    """Note masses and inertias below 0, and those of a mechanism other than two links in series."""
+    for name in ("link_mass_kg", "link_centre_m", "link_inertia_kg_m2"):
+        values = getattr(kinematics, name)
+        if kinematics.kind.strip() != SIMULATED and any(values):
+            source.stands(("kinematics", name), values, f'no such key: only kind = "{SIMULATED}" has it')
+        elif name != "link_centre_m" and min(values) < 0.0:
+            source.stands(("kinematics", name), values, "two numbers from 0 on")
 
 
 def _start_pose(kinematics: Kinematics) -> PoseRecord:

@@ -76,6 +76,11 @@ class Kinematics(Section):
         description="least condition of the Jacobian, its smallest singular value over its largest",
         json_schema_extra={"range": "at least 0, below 1", "expected": "a number from 0 to below 1"},
     )
+    link_mass_kg: tuple[float, float] = _pair((0.0, 0.0), "serial_2r: mass of each link", "kg")
+    link_centre_m: tuple[float, float] = _pair((0.0, 0.0), "serial_2r: from a link's joint to its centre of mass", "m")
+    link_inertia_kg_m2: tuple[float, float] = _pair(
+        (0.0, 0.0), "serial_2r: inertia of each link about its centre", "kg m2"
+    )
     user: tuple[float, ...] = Field((), strict=False, max_length=16, description="numbers for a mechanism of your own")
 
     @property
