@@ -117,6 +117,37 @@ def test_the_function_of_a_command_and_of_a_cached_property_is_exchanged():
         assert result(module) is True
 
 
+@pytest.mark.parametrize(
+    ("change", "result"),
+    [
+        ("5 < 4 -> 5 >= 4", [True, 1, 2]),
+        ("super().size() -> deleted", [False, 2]),
+        ("super().shape -> deleted", [False, 1]),
+    ],
+)
+def test_a_decorated_function_is_exchanged_and_its_call_of_the_base_is_deleted(change, result):
+    text = (
+        "import contextlib\nclass Base:\n    def size(self):\n        self.log.append(1)\n"
+        "    @property\n    def shape(self):\n        self.log.append(2)\n"
+        "class Own(Base):\n    log = []\n    @contextlib.contextmanager\n    def held(self):\n        yield 5 < 4\n"
+        "    def size(self):\n        super().size()\n"
+        "    @property\n    def shape(self):\n        super().shape\n"
+    )
+    module = types.ModuleType("own")
+    module.__file__ = "own.py"
+    exec(text, vars(module))
+    source = mutate.DecoratedSource("own.py", text)
+    mutant = next(m for m in source.mutants() if m.change == change)
+    mutant.apply()
+    source.install(module, mutant.unit)
+    own = module.Own()
+    with own.held() as held:
+        own.size()
+        assert own.shape is None
+    assert [held, *own.log] == result
+    assert vars(module.Own)["size"].__code__.co_freevars == ("__class__",)
+
+
 def test_a_draw_is_of_the_product_without_its_examples():
     modules = mutate_drawn.product()
     assert {"coulombus.host.laws.karnopp", "coulombus.recording.logs.blf", "coulombus.cli.main"} <= modules.keys()

@@ -146,6 +146,12 @@ def test_a_change_is_taken_while_the_host_cycles_and_does_not_end(run, status, p
     assert run._why_no_change() == why
 
 
+def test_no_change_is_taken_while_a_program_outside_has_control(run):
+    run.world.controlled = True
+    why = "a program outside has control (coulombus run --world): its models set the parameters"
+    assert run._why_no_change() == why
+
+
 def test_a_change_is_ordered_and_marked(run):
     recording(run)
     run.clock.sleep(2)
@@ -183,8 +189,9 @@ def test_what_is_logged_is_taken_always_and_written_while_it_can_be(run, recorde
     run.failure = failure
     if recorder:
         recording(run)
+        run.recorder.keep_models = lambda rows: run.log.append(("models", rows))
     run.drain(9)
-    written = [("batch", "frames", "rows", 9), ("write", run.recorder, "bits")]
+    written = [("models", b""), ("batch", "frames", "rows", 9), ("write", run.recorder, "bits")]
     assert run.log == [("take_trace",), ("take",), *(written if recorder and failure is None else [])]
 
 
@@ -480,6 +487,22 @@ def test_a_service_manager_that_does_not_listen_keeps_nothing_from_the_safe_end(
     assert run.log == [("stop", Trip.HOST), ("stop",), "look", ("stop",), *LAST]
 
 
+@pytest.mark.parametrize(("error", "tripped"), [(None, False), (OSError("gone"), False), (ValueError("x"), True)])
+def test_requests_to_stop_are_answered_in_the_safe_state_too(run, error, tripped):
+    ending(run, done_after=1)
+
+    def stop_wanted():
+        run.log.append("door")
+        if error:
+            raise error
+        return False
+
+    run.door.stop_wanted = stop_wanted
+    run.make_safe()
+    turn = [("stop",), "door", *([("stop", Trip.HOST)] if tripped else [])]
+    assert run.log == [STOPPING, *turn, "look", *turn, *LAST]
+
+
 # looking after the run
 
 
@@ -507,6 +530,20 @@ def test_a_look_attends_marks_records_and_answers(run):
     t_ns = ZERO_NS + 10 * MS
     assert run.log == [("attend",), ("mark_course", t_ns + 1), ("drain", t_ns), ("answer", t_ns)]
     assert run._seen == (7, 5.0)
+
+
+@pytest.mark.parametrize("error", [None, BusUnavailable("gone")])
+def test_a_look_reads_the_socket_of_the_control_plane_and_does_not_wait(run, error):
+    waited = []
+
+    def wait_ns(ns):
+        waited.append(ns)
+        if error:
+            raise error
+
+    run.control.wait_ns = wait_ns
+    assert looked(run) is True
+    assert waited == [0]
 
 
 def test_a_cycle_that_was_run_is_told_to_the_service_manager(run):
@@ -605,14 +642,15 @@ def left(run, monkeypatch, **errors):
             name,
             raising(errors[name]) if name in errors else lambda *_, name=name: run.log.append(name),
         )
-    logged(run, "drain", "_give_up_recording")
+    logged(run, "mark_trip", "drain", "_give_up_recording")
+    run.world.close = lambda: run.log.append("world")
     if "drain" in errors:
         run.drain = raising(errors["drain"])
     run.end()
     return [row if isinstance(row, str) else row[0] for row in run.log]
 
 
-END = ["drain", "_give_up_recording", "close"]
+END = ["mark_trip", "drain", "world", "_give_up_recording", "close"]
 
 
 @pytest.mark.parametrize(
@@ -646,7 +684,8 @@ def test_an_error_at_the_end_keeps_none_of_the_steps_from_it(run, monkeypatch):
     error = ValueError("x")
     run.plane.await_end = raising(error)
     steps = left(run, monkeypatch, release=error, shut_down=error, drain=error)
-    assert steps == ["end_cycle", "stop", "stop", "end_cycle", "stop", "stop", "_give_up_recording", "close"]
+    failed = ["end_cycle", "stop", "stop", "end_cycle", "stop"]
+    assert steps == [*failed, "mark_trip", "stop", "world", "_give_up_recording", "close"]
     assert run.error.startswith("ValueError: x")
 
 
