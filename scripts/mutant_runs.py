@@ -278,8 +278,9 @@ class _Runner:
                 if mutant is not None:
                     mutant.apply()
                     self.source.install(self.module, mutant.unit)
-            except Exception as error:
-                _write_all(pipe, f"0 {NOT_MADE}{error!r}".encode())
+            except Exception as error:  # a module that cannot be loaded with its constant fails every test
+                failed = NOT_MADE if mutant is None or mutant.unit else "cannot be loaded: "
+                _write_all(pipe, f"0 {failed}{error!r}".encode())
                 return
             failed = self._run_items(items)
             _write_all(pipe, f"{time.process_time():.3f} {failed}".encode())

@@ -313,12 +313,18 @@ class Source:
             function: Any = module
             for name in unit.split("."):
                 function = vars(function)[name]
-            while not isinstance(function, FunctionType):
+            while not isinstance(function, FunctionType) or hasattr(function, "__wrapped__"):
                 inner = (
                     getattr(function, name, None) for name in ("fget", "callback", "func", "py_func", "__wrapped__")
                 )
                 function = next(filter(None, inner))
-            function.__code__ = find_code(code, unit)
+            exchanged = find_code(code, unit)
+            if function.__code__.co_freevars and not exchanged.co_freevars:  # `super()` was its only use of the class
+                for node in ast.walk(self.tree):
+                    if isinstance(node, ast.FunctionDef) and node.name == function.__name__:
+                        node.body += ast.parse("if 0: __class__").body
+                exchanged = find_code(self.compiled(), unit)
+            function.__code__ = exchanged
             return
         before = dict(vars(module))
         fresh: dict[str, Any] = {"__name__": module.__name__, "__file__": module.__file__, "__package__": None}

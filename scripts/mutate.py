@@ -20,9 +20,7 @@ survivors are listed; 1, one is not, or the list holds one that is none; 2, usag
 from __future__ import annotations
 
 import argparse
-import ast
 import hashlib
-import inspect
 import json
 import os
 import random
@@ -31,16 +29,14 @@ import time
 import tomllib
 from collections import Counter
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
-from types import FunctionType, ModuleType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from mutant_runs import Tests, Verdict, run  # noqa: E402
-from mutants import Mutant, Source, find_code  # noqa: E402
+from mutants import Mutant, Source  # noqa: E402
 
 EQUIVALENTS = ROOT / "scripts" / "mutants_equivalent.toml"
 
@@ -191,25 +187,6 @@ TARGETS = {
 """What decides about torque, brake or arming, and the tests that hold it."""
 
 
-class DecoratedSource(Source):
-    """A module, of which a decorated function too is exchanged, and one that has lost its `super()`."""
-
-    def install(self, module: ModuleType, unit: str) -> None:
-        """Let the loaded `module` run the tree as it is now."""
-        function = attrgetter(unit)(module) if unit else None
-        function = inspect.unwrap(getattr(function, "fget", function))  # of a property, or itself
-        if not isinstance(function, FunctionType):
-            super().install(module, unit)
-            return
-        code = find_code(self.compiled(), unit)
-        if function.__code__.co_freevars and not code.co_freevars:  # `super()` was its only use of the class
-            for node in ast.walk(self.tree):
-                if isinstance(node, ast.FunctionDef) and node.name == function.__name__:
-                    node.body += ast.parse("if 0: __class__").body
-            code = find_code(self.compiled(), unit)
-        function.__code__ = code
-
-
 @dataclass
 class Tally:
     """What became of one module's mutants."""
@@ -324,7 +301,7 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
     """Run the mutants of one module; return the tally, and what is wrong."""
     target, path = TARGETS[name], ROOT / name
     tests = [_file(test) for test in target.tests]
-    source = DecoratedSource(name, path.read_text(encoding="utf-8"), target.units)
+    source = Source(name, path.read_text(encoding="utf-8"), target.units)
     if source.lacking:
         raise SystemExit(f"{name}: expected the names of its functions, it has no {', '.join(source.lacking)}")
     mutants = source.mutants()

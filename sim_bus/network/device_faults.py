@@ -15,7 +15,7 @@ from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT
 from coulombus.wire.clock import own_ns
 
-__all__ = ["EFFECTS", "FAULTS", "OF_EVERY_NODE", "OF_MECHANICS", "device_faults_of", "inject", "renumber"]
+__all__ = ["EFFECTS", "FAULTS", "OF_EVERY_NODE", "OF_MECHANICS", "SILENT", "device_faults_of", "inject", "renumber"]
 
 FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -24,6 +24,8 @@ FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Faults that a device reports, by its name in a rig."""
+SILENT: Mapping[str, tuple[str, ...]] = MappingProxyType({"motor": ("blocked",)})
+"""Faults without an EMCY of their own, by the device's name in a rig."""
 OF_MECHANICS = ("coil_open", "coil_short", "blocked")
 """Faults of what a device drives."""
 OF_EVERY_NODE = ("power_off", "heartbeat_off", "pdo_length")
@@ -53,10 +55,10 @@ def device_faults_of(world: VirtualNetwork, row: int) -> tuple[str, ...]:
     """Return the faults of `EFFECTS` that the device of a row can have."""
     name = next((name for name, other in world.rows.items() if other == row), "").rpartition(".")[2]
     kind = world.devices[row].profile.name
-    of_device = FAULTS.get(name) or FAULTS.get(_OF_KIND.get(kind, kind), ())
-    blocks = ("blocked",) if name == "motor" or kind == "drive" else ()
+    device = name if name in FAULTS else _OF_KIND.get(kind, kind)
+    of_device = (*FAULTS.get(device, ()), *SILENT.get(device, ()))
     axis = int(world.axis_of[row]) if row < len(world.axis_of) else -1
-    return tuple(fault for fault in (*of_device, *blocks, *OF_EVERY_NODE) if axis >= 0 or fault not in OF_MECHANICS)
+    return tuple(fault for fault in (*of_device, *OF_EVERY_NODE) if axis >= 0 or fault not in OF_MECHANICS)
 
 
 def inject(world: VirtualNetwork, row: int, fault: str, present: bool) -> None:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.rigs.toml_kind import of_another_kind
 from coulombus.rigs.toml_lines import read_text, read_toml
-from coulombus.sim_bus.network.device_faults import FAULTS, OF_EVERY_NODE
+from coulombus.sim_bus.network.device_faults import FAULTS, OF_EVERY_NODE, SILENT
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError
 
@@ -77,7 +77,7 @@ class Entry:
 def faults_of(node: str) -> tuple[str, ...]:
     """Return the device faults of a node, by its name with or without its axis."""
     name = node.rpartition(".")[2]
-    return (*FAULTS.get(name, ()), *(("blocked",) if name == "motor" else ()), *OF_A_SCRIPT)
+    return (*FAULTS.get(name, ()), *SILENT.get(name, ()), *OF_A_SCRIPT)
 
 
 def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:

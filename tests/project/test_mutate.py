@@ -136,7 +136,7 @@ def test_a_decorated_function_is_exchanged_and_its_call_of_the_base_is_deleted(c
     module = types.ModuleType("own")
     module.__file__ = "own.py"
     exec(text, vars(module))
-    source = mutate.DecoratedSource("own.py", text)
+    source = Source("own.py", text)
     mutant = next(m for m in source.mutants() if m.change == change)
     mutant.apply()
     source.install(module, mutant.unit)

@@ -9,8 +9,8 @@ It corresponds to a law on one axis (`host.laws.law`), with vectors::
     def my_law(motion, law, state):
         vx, vy = motion.v_m_s[0], motion.v_m_s[1]
         speed = math.hypot(vx, vy)
-        state.hold_N = law.F_c_N
-        if speed == 0.0:
+        state.stuck, state.hold_N = int(speed == 0.0), law.F_c_N
+        if state.stuck:
             return 0.0, 0.0
         return law.F_c_N * vx / speed, law.F_c_N * vy / speed
 
@@ -57,7 +57,7 @@ class PlaneLawRecord(Record):
 class PlaneStateRecord(Record):
     """State of a law, kept from cycle to cycle, and its further outputs."""
 
-    stuck: int  # 1: the tip sticks
+    stuck: int  # 1: the tip sticks, and the brakes hold it with hold_N
     psi_N: Annotated[FloatField, 2]  # last result of the law; stored by the host
     motor_N: Annotated[FloatField, 2]  # the part of psi that pushes back, for the motors alone
     hold_N: float  # force that the brakes hold at rest, in the hand's present direction; 0: none
