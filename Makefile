@@ -87,8 +87,8 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/.made
 	@touch $@ $(VENV)/.run
 
 long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames against the bits, an afternoon of cycles
-	@$(BIN)/python -m pytest -q --durations=0 -m "long and not real_time" -n auto --maxprocesses 4
-	@$(BIN)/python -m pytest -q --durations=0 -m "long and real_time"
+	@$(BIN)/python -m pytest -q --durations=0 -m "(long or thorough) and not real_time" -n auto --maxprocesses 4
+	@$(BIN)/python -m pytest -q --durations=0 -m "(long or thorough) and real_time"
 	@$(BIN)/python scripts/mutate.py
 	@$(BIN)/python scripts/mutate_drawn.py 100 --map --seed $$(date +%G%V)  # others each week
 	@$(BIN)/python -m benchmarks bits
