@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import UNCHECKED_PATH
+from coulombus.cli.option_types import OUTPUT_FOLDER, UNCHECKED_PATH
 from coulombus.cli.options import BusOption, JsonOption, SharedMachineOption, argument, option, with_options, words
 from coulombus.cli.page_options import tornado_needed
 from coulombus.cli.rig_options import check_shared_machine
@@ -78,7 +78,7 @@ def experiment_command(
             "-o",
             "--out",
             "Folder of the study.",
-            type=click.Path(readable=False, file_okay=False, path_type=Path),
+            type=OUTPUT_FOLDER,
             required=True,
             metavar="DIR",
         ),

@@ -14,6 +14,7 @@ from coulombus.recording.output_file import is_stream, named_after, reason_again
 __all__ = [
     "BIT_RATE",
     "CPU",
+    "OUTPUT_FOLDER",
     "PICTURE",
     "SECONDS",
     "SECONDS_OR_NONE",
@@ -200,5 +201,7 @@ YEAR_S = 31_557_600
 SECONDS, SECONDS_OR_NONE = _Seconds(), _Seconds(zero=True)
 CPU = _Cpu()
 BIT_RATE = _BitRate()
+OUTPUT_FOLDER = click.Path(readable=False, file_okay=False, path_type=Path)
+"""Of many runs, which its writer continues: what stands there is its writer's to judge."""
 UNCHECKED_PATH = click.Path(readable=False, path_type=Path)
 """Of a file whose reader says what is wrong with it."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
-from coulombus.cli.option_types import UNCHECKED_PATH
+from coulombus.cli.option_types import OUTPUT_FOLDER, UNCHECKED_PATH
 from coulombus.cli.options import JsonOption, OverwriteOption, argument, option, with_options
 from coulombus.cli.tables import echo, running
 from coulombus.system.exit import say, verdict
@@ -37,7 +37,7 @@ def sweep_command(
             "-o",
             "--out",
             "Folder of the runs.",
-            type=click.Path(readable=False, file_okay=False, path_type=Path),
+            type=OUTPUT_FOLDER,
             required=True,
             metavar="DIR",
         ),
