@@ -12,6 +12,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
 unexport PYTHONUNBUFFERED  # a user's output has a buffer
 
+test: export COULOMBUS_TEST_WARM_UP := $(or $(NUMBA_CACHE_DIR),$(CURDIR)/out/warm-up)  # no test writes it: they have a copy
 test fast long: export OPENBLAS_NUM_THREADS := 1  # its threads wait busily for a processor that another test has
 
 .PHONY: demo test fast long check docs bench wheel constraints clean help
@@ -51,7 +52,7 @@ define install
 $(PIP) $(addprefix --constraint ,$(CONSTRAINTS)) $(1) || { test -n "$(CONSTRAINTS)" && \
 echo "make: not all versions of $(CONSTRAINTS) can be had; taking the newest ones" >&2 && $(PIP) $(1); }
 endef
-hashed = $(PIP) --quiet --require-hashes --no-deps --requirement $(HASHES) && \
+hashed = $(PIP) --quiet --no-compile --require-hashes --no-deps --requirement $(HASHES) && \
 	$(PIP) --quiet --no-deps --no-build-isolation --editable .
 
 $(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
@@ -66,19 +67,25 @@ $(VENV)/.made:  # written when all is there: what was interrupted is begun anew,
 		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }; }
 	@touch $@
 
-$(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what the demo compiles is begun while the rest is installed
+# installs what runs, and begins to compile it with the settings $(1) and the options $(2): meanwhile the rest is installed
+define begin_to_compile
+@$(BIN)/python -c 'import tomllib; \
+wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
+print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' >$(VENV)/first.txt
+@$(call install,--no-compile --requirement $(VENV)/first.txt)
+@$(1) $(BIN)/python -m coulombus warm-up $(2) >/dev/null 2>&1 </dev/null &
+endef
+
+$(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
 	@echo "installing (once), half a minute ..."
-	@$(BIN)/python -c 'import tomllib; \
-	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
-	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' >$(VENV)/first.txt
-	@$(call install,--no-compile --requirement $(VENV)/first.txt)
-	@$(BIN)/python -m coulombus warm-up --without-arm >/dev/null 2>&1 </dev/null & \
-	$(call install,--no-compile --editable '.[web]')
+	$(call begin_to_compile,,--without-arm)
+	@$(call install,--no-compile --editable '.[web]')
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
-	@echo "installing with the development tools (once) ..."
-	@$(if $(HASHES),$(hashed),$(call install,--quiet --editable '.[dev$(comma)docs]'))
+	@echo "installing with the development tools (once), a minute ..."
+	$(if $(HASHES),,$(if $(COULOMBUS_TEST_WARM_UP),$(call begin_to_compile,NUMBA_CACHE_DIR=$(COULOMBUS_TEST_WARM_UP))))
+	@$(if $(HASHES),$(hashed),$(call install,--quiet --no-compile --editable '.[dev$(comma)docs]'))
 	@touch $@ $(VENV)/.run $(VENV)/.docs
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/.made

@@ -49,6 +49,7 @@ def test_contract_of_the_frequency_domain(whole):
     assert slopes["tsypkin"] < slopes["zames_falb"] < -1 / crossing["h_real"]
 
 
+@pytest.mark.thorough
 def test_contract_of_the_time_domain(whole):
     assert {orbit["pattern"] for orbit in whole["orbits"]} == {"++--", "++-", "+--", "+-"}
     for orbit in whole["orbits"]:

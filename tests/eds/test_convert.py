@@ -60,6 +60,7 @@ def test_a_file_is_the_same_there_and_back(path, tmp_path):
     there_and_back(path, tmp_path)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", [path for path in FILES if path.suffix.lower() == ".eds"], ids=lambda path: path.name)
 def test_another_reader_reads_the_same_objects(path, tmp_path):
     try:
@@ -88,6 +89,7 @@ def test_another_reader_reads_the_same_objects(path, tmp_path):
                     assert getattr(first, key) == getattr(second, key), (hex(index), sub, key)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("referred", [lambda variable: False, lambda variable: True], ids=["attributes", "parameters"])
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_an_xdd_of_another_maker_is_the_same_there_and_back(path, referred, tmp_path):

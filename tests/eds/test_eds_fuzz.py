@@ -93,6 +93,7 @@ def test_random_bytes(raw):
     examine(b"[2000]\nParameterName=x\n" + raw)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @settings(max_examples=120, deadline=None, derandomize=True)
 @given(

@@ -146,6 +146,7 @@ def test_many_alike_are_one_line_with_their_number():
     assert diagnosis.line == line_of(variable() + "[Junk0]", "[Junk0]")
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_hundred_thousand_sections_are_read_in_seconds():
     heads = "".join(f"[{0x2000 + k:04X}]\nParameterName=H\nObjectType=8\nSubNumber=250\n" for k in range(400))

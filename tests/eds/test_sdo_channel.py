@@ -189,6 +189,7 @@ def test_block_transfers_of_canopens_client(content, seed):
     assert not any("remark" in row for row in rows)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_every_length_of_a_block_transfer():
     for length in range(1, 901):

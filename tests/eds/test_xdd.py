@@ -66,6 +66,7 @@ def test_our_devices_are_the_same_as_xdd_and_as_eds(name, referred):
     assert [pdo.entries for pdo in check(description).pdos] == [pdo.entries for pdo in check(eds).pdos]
 
 
+@pytest.mark.thorough
 @beside(CORPUS)
 def test_every_file_of_the_corpus_is_the_same_as_xdd():
     count = 0
@@ -149,6 +150,7 @@ def as_eds(entries):
     return text
 
 
+@pytest.mark.thorough
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(dictionaries(), st.integers(0, 1 << 30))
 def test_the_same_random_dictionary_is_the_same_as_eds_and_as_xdd(entries, seed):

@@ -48,6 +48,7 @@ def python(code, directory, umask=-1, **environment):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     for package in ("coulombus", "coulombus/kernels", "coulombus/host"):
@@ -316,7 +317,13 @@ except Exception as error:
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-@pytest.mark.parametrize("spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2]], ids=["empty", "half"])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        pytest.param(lambda whole: b"", id="empty", marks=pytest.mark.thorough),
+        pytest.param(lambda whole: whole[: len(whole) // 2], id="half"),
+    ],
+)
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_a_damaged_cache_is_told_and_removed(cached_kernels, spoil, ending):
     """As a power cut leaves it."""
@@ -438,6 +445,7 @@ def test_a_constant_is_compiled_once_with_what_is_variable(tmp_path):
     assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == "11 1"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_law_that_is_a_kernel_elsewhere_keeps_its_address(tmp_path):
     kernels = "from coulombus.kernels.decorator import kernel; from coulombus.host.laws import laws; import numpy as np"

@@ -82,7 +82,10 @@ def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
     assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.06, rel=0.02)
 
 
-@pytest.mark.parametrize(("amplitude_Nm", "periods"), [(0.01, 12), (0.02, 7), (0.03, 24)])
+@pytest.mark.parametrize(
+    ("amplitude_Nm", "periods"),
+    [pytest.param(0.01, 12, marks=pytest.mark.thorough), (0.02, 7), pytest.param(0.03, 24, marks=pytest.mark.thorough)],
+)
 def test_cogging_is_told_from_friction(afternoon, amplitude_Nm, periods):
     """What depends on the angle has no part in the friction, and friction none in it."""
     cogging = (f"plant.cogging_Nm={amplitude_Nm}", f"plant.cogging_periods={periods}")

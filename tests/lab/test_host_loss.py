@@ -95,7 +95,10 @@ def checked(file, overrides):
     return found["motor", "host dies"], found["brake", "host dies"]
 
 
-@pytest.mark.parametrize(("drive_", "brake_", "watch"), RIGS, ids=["-".join(one) for one in RIGS])
+@pytest.mark.parametrize(
+    ("drive_", "brake_", "watch"),
+    [pytest.param(*rig, id="-".join(rig), marks=[pytest.mark.thorough] if n > 3 else []) for n, rig in enumerate(RIGS)],
+)
 def test_motor_and_brake_are_off_within_the_printed_time(tmp_path, drive_, brake_, watch):
     file, overrides = written(tmp_path, drive(drive_, watch), brake(brake_, watch))
     motor, brake_s = checked(file, overrides)

@@ -70,6 +70,7 @@ def test_the_same_seed_gives_the_same_bytes(shown, tmp_path):
     assert again.read_bytes() == shown[1].read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_wrong_set_point_on_the_second_bus_is_found_by_the_replay(shown, tmp_path):
     data, broken = bytearray(shown[1].read_bytes()), tmp_path / "broken.pcapng"
     packets = [found.end() for found in re.finditer(rb"\x00\x00\x02\x03\x04\x00\x00\x00", data)]

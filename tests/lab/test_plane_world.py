@@ -39,6 +39,7 @@ def recorded(tmp_path_factory):
     return path, seen
 
 
+@pytest.mark.thorough
 def test_the_tip_meets_a_wall_along_its_normal(recorded):
     _, seen = recorded
     assert {state.axis for state in seen} == {0}
@@ -121,7 +122,9 @@ def test_a_part_of_one_axis_is_refused_with_the_reason():
         simulate("bench", "hybrid", 3, world=lambda state: WALL)
 
 
-@pytest.mark.parametrize(("mode", "low", "high"), [("active", 0.1, 0.8), ("hybrid", 0.0, 0.6)])
+@pytest.mark.parametrize(
+    ("mode", "low", "high"), [("active", 0.1, 0.8), pytest.param("hybrid", 0.0, 0.6, marks=pytest.mark.thorough)]
+)
 def test_a_wall_that_is_too_stiff_for_the_motors_gets_softer_until_the_tip_does_not_swing(mode, low, high):
     seen = []
 

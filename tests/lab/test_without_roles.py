@@ -66,7 +66,13 @@ class Recorded:
         self.results = {m: simulate(self.rig, m, SECONDS, record=path) for m, path in self.paths.items()}
 
 
-@pytest.fixture(scope="module", params=RIGS, ids=lambda name: name.replace(" ", "-"))
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, id=name.replace(" ", "-"), marks=[pytest.mark.thorough] if n else [])
+        for n, name in enumerate(RIGS)
+    ],
+)
 def recorded(request, tmp_path_factory):
     return Recorded(request.param, tmp_path_factory.mktemp("r"))
 

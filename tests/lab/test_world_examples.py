@@ -26,6 +26,7 @@ def test_the_wheel_meets_its_detents_one_after_the_other():
     assert set(np.abs(np.diff(met))) == {1}
 
 
+@pytest.mark.thorough
 def test_the_wall_is_met_and_the_brake_resists():
     depth_rad, brake_Nm, trip = outcome("wall_with_friction")
     assert trip is None

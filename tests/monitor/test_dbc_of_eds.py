@@ -178,6 +178,7 @@ def test_several_nodes_share_identifiers(tmp_path):
     assert compared(files, tmp_path, ".dbc") > 10
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not MAKERS, reason="the makers' files are not here")
 @pytest.mark.parametrize("suffix", [".dbc", ".kcd", ".sym"])
 def test_cantools_decodes_makers_files_to_the_same_bits(tmp_path, suffix):

@@ -53,6 +53,7 @@ def starts(method: int) -> tuple[int, ...]:
 CASES = [(method, place) for method in EDGES for place in starts(method)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "place"), CASES)
 @pytest.mark.parametrize("without_index", [0, 16])
 def test_each_method_finds_its_place_from_everywhere(method, place, without_index):

@@ -199,6 +199,7 @@ def test_software_limits_clip_the_target():
         assert servo.position == pytest.approx(end, abs=5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("limit", "value", "speed", "up", "down"),
     [

@@ -532,6 +532,7 @@ def client(bench: Bench, eds: str) -> canopen.RemoteNode:
     return node
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 8, 889, 890, 4000])
 @pytest.mark.parametrize("crc", [True, False])
 def test_canopens_client_both_ways(size, crc):

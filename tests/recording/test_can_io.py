@@ -74,6 +74,7 @@ def test_a_file_of_another_kind_is_told(tmp_path):
         can.LogReader(tmp_path / "a.pcapng")
 
 
+@pytest.mark.thorough
 def test_can_logconvert(tmp_path):
     with can.Logger(tmp_path / "a.pcapng") as writer:
         for message in MESSAGES:

@@ -105,6 +105,7 @@ def rows_of(name, content):
     return places
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", TEXTS)
 @settings(max_examples=4, derandomize=True, database=None, deadline=None)
 @given(frames=some_frames)

@@ -195,8 +195,8 @@ def foreign(path):
         ("bench", lambda path: path),
         pytest.param("two_axes", lambda path: path, marks=pytest.mark.long),
         pytest.param("bench", lambda path: packed(path, gzip.compress), marks=pytest.mark.long),
-        ("bench", lambda path: packed(path, ZSTD)),
-        ("two_axes", foreign),
+        pytest.param("bench", lambda path: packed(path, ZSTD), marks=pytest.mark.thorough),
+        pytest.param("two_axes", foreign, marks=pytest.mark.thorough),
     ],
     indirect=["recorded_once"],
 )

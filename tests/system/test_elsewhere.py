@@ -54,6 +54,7 @@ def test_what_needs_no_live_bus_works_everywhere(tmp_path):
     assert [(line, err) for line, status, err in elsewhere(tmp_path, *lines) if status != 0] == []
 
 
+@pytest.mark.thorough
 def test_what_needs_one_says_that_it_needs_linux(tmp_path):
     lines = (
         "sim --bus coulombus:elsewhere",

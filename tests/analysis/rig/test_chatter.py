@@ -42,6 +42,7 @@ def test_all_torques_scale_alike():
     assert wall(heavier) == pytest.approx(10 * wall(KNOB), rel=0.02)
 
 
+@pytest.mark.thorough
 def test_time_scales():
     """In half the time, a device of a quarter of the inertia and half the damping is the same."""
     quicker = device(1.25e-6, 2000.0, 16384, 0.5e-3, damping_Nms_rad=1e-5, friction_Nm=1e-3)
@@ -123,6 +124,7 @@ def test_the_rig_is_that_device():
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_the_rig_is_quiet_below_the_level_and_chatters_above_it(tmp_path):
     level = friction(BENCH)

@@ -53,6 +53,7 @@ def test_what_was_put_in_comes_out(name):
     assert found.residual_rms_Nm < 1e-6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("amplitude_rad", "frequency_Hz", "parts", "truth"),
     [

@@ -72,6 +72,7 @@ def test_force_is_the_papers():
     assert pytest.approx(f_h(t)) == paper_force_N(t)
 
 
+@pytest.mark.thorough
 def test_passive_events_against_solve_ivp():
     run = passive_run(PAPER)
     intervals, pieces = reference_stick_slip(10.0)

@@ -42,6 +42,7 @@ def computed():
     return benchmarks(), sweep()
 
 
+@pytest.mark.thorough
 def test_every_benchmark_is_met(computed):
     found, _ = computed
     assert [one.what for one in found if not one.ok] == []
@@ -115,6 +116,7 @@ def test_the_curves_of_the_literature_are_met(published):
     assert force[0] == pytest.approx(1.432, abs=2e-3)
 
 
+@pytest.mark.thorough
 def test_a_published_curve_is_that_of_its_parameters(published):
     """Pre-sliding: to 0.95 F_s the bristles bend by more than 0.95 F_s/sigma_0, and some of it stays."""
     (line,) = {curve.name: curve for curve in published}["lugre-presliding"].lines

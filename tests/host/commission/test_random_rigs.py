@@ -36,6 +36,7 @@ def test_all_eight_steps_pass(results):
     assert len(MEASURED) == 8
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("key", "share"),
     [

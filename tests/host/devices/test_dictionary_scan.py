@@ -27,7 +27,7 @@ def scanned(name="motor", node_id=5, **options):
     return own, parse_eds(text.encode(), "made.eds"), link.sent, scan.remarks
 
 
-@pytest.mark.parametrize("name", ["motor", "mr_brake"])
+@pytest.mark.parametrize("name", [pytest.param("motor", marks=pytest.mark.thorough), "mr_brake"])
 def test_objects_types_and_maps_are_the_devices(name):
     own, made, sent, remarks = scanned(name)
     assert made.diagnoses == ()

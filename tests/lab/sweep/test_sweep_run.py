@@ -268,6 +268,7 @@ def test_a_mistake_of_the_program_ends_no_sweep(sweep_file, tmp_path, monkeypatc
     assert errors.count("KeyError: '6072h'") == result.failed == 3
 
 
+@pytest.mark.thorough
 def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
     orders = [order_of(sweep, run) for run in range(sweep.runs)]

@@ -116,6 +116,7 @@ def test_everything_has_room(tmp_path, size):
     asyncio.run(with_page(tmp_path, use, size=size))
 
 
+@pytest.mark.thorough
 def test_the_keyboard_alone_reaches_and_does_everything(tmp_path):
     door = Door()
 

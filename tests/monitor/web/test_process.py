@@ -160,6 +160,7 @@ def test_a_new_start_has_the_same_token_and_a_port_in_use_ends_with_words(bus):
         assert place(url)[1:] == (port, token)
 
 
+@pytest.mark.thorough
 def test_a_hundred_thousand_messages_of_rubbish_reach_no_bus_and_end_no_server(bus):
     noise = random.Random(11)
     texts = [

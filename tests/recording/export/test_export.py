@@ -359,6 +359,7 @@ def test_an_export_that_a_signal_ends_leaves_nothing(source, tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_what_a_killed_export_leaves_the_next_one_removes(source, tmp_path):
     for _ in range(2):
         assert killed(source, tmp_path / "x.csv", signal.SIGKILL) == -signal.SIGKILL

@@ -129,6 +129,7 @@ def loaded(rng, truth, share):
     return tuple(slides)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.05, 0.2])
 def test_friction_that_grows_with_the_load_is_told_from_coulomb_and_viscous(share):
     held = {"c": 0, "b": 0, "share": 0}

@@ -548,6 +548,7 @@ def test_files_are_named_from_the_rig_files_folder_on(folder):
     assert Path(gather(choices, rigs)[1].eds).is_absolute()
 
 
+@pytest.mark.thorough
 @beside(CORPUS)
 @pytest.mark.parametrize("node", ["motor", "brake"])
 def test_drives_of_the_corpus_are_drafted_or_refused_with_a_reason(node):

@@ -171,6 +171,7 @@ def reference(overrides, seconds, *, motor_Nm, brake_Nm=0.0, smooth_rad_s=None, 
     return found.y[2]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(6))
 def test_random_elastic_rigs_with_bristles_agree_with_scipy(seed):
     rng = np.random.default_rng(seed)

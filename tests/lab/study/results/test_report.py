@@ -54,6 +54,7 @@ def keep(tmp_path) -> Callable[..., None]:
     return run
 
 
+@pytest.mark.thorough
 def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
     jnds = (0.13, 0.17)
     keep(TWO, *jnds)
