@@ -67,7 +67,7 @@ def doctor(
 
         cpu = default_cpu() if cpu is None else cpu
         rig = load(rig_name, overrides)
-        needs = RigDemands.of(rig)
+        needs = RigDemands.from_rig(rig)
         addresses = bus_addresses(rig, bus_names)
         findings = examination(needs, addresses, given_cpu=cpu)
         measured = None

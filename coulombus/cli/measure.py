@@ -114,7 +114,7 @@ def _document(measured: Measured, rig: Rig, bus: str) -> dict[str, Any]:
                 "pdo": pdo.name,
                 "can_id": pdo.can_id,
                 "missed": pdo.missed,
-                **(_spread(Spread.of(pdo.times_ns)) if pdo.times_ns else {}),
+                **(_spread(Spread.from_times(pdo.times_ns)) if pdo.times_ns else {}),
             }
             for pdo in device.pdos
         ]
@@ -154,7 +154,7 @@ def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
     numbers = {}
     for key, value in measured.numbers(on_bus).items():
         name = str(key[-2]) if key[0] != "axis" else f"{key[1]}.{key[-2]}"
-        spread = measured.host if key == ("host", "compute_s") else Spread.of(times[name])
+        spread = measured.host if key == ("host", "compute_s") else Spread.from_times(times[name])
         numbers[key] = NewValue(value, note(spread))
     text = rewritten(rig.text, numbers, MARK, rig.path)
     load_rig_text(text, rig.path)  # check that the result is a valid rig

@@ -166,7 +166,7 @@ class Friction(Step):
             inertia = widened(device.inertia_kg_m2, torque, angle)
             rows.append((INERTIA, "inertia", mechanics.inertia_kg_m2, "kg m2", inertia))
         findings = [_finding(key, name, old, unit, estimate, basis) for key, name, old, unit, estimate in rows]
-        wave = _Wave.of(identification, torque)
+        wave = _Wave.from_identification(identification, torque)
         findings += _limit(axis, findings[0].new)
         findings += _cogging(axis, wave, basis)
         middles = 0.5 * (edges[:-1] + edges[1:])
@@ -199,7 +199,7 @@ class _Wave:
     at: Callable[[Floats], Floats]
 
     @classmethod
-    def of(cls, identification: Identification, torque_share: float) -> _Wave | None:
+    def from_identification(cls, identification: Identification, torque_share: float) -> _Wave | None:
         """Return the cogging with the interval of its amplitude, by the delta method; None without cogging."""
         if identification.cogging is None:
             return None

@@ -148,7 +148,7 @@ class Session:
                 return StepEnd(step.name, step.title, "skipped")
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
-            runs = [self._take(step, exercise) for exercise in exercises]
+            runs = [self._run_exercise(step, exercise) for exercise in exercises]
             inputs = replace(self.given, shares=shares(self.state.steps))
             outcome = step.analyse(runs, axis, inputs)
             written = self._write(step, outcome)
@@ -162,7 +162,7 @@ class Session:
         self.state.keep(step.name, record)
         return StepEnd(step.name, step.title, "done", outcome=outcome, written=written)
 
-    def _take(self, step: Step, exercise: Exercise) -> ExerciseResult:
+    def _run_exercise(self, step: Step, exercise: Exercise) -> ExerciseResult:
         """Run an exercise, and return its recording."""
         path = self.state.folder / f"{exercise.name}.pcapng"
         result = self.run(exercise, path)
@@ -183,7 +183,8 @@ class Session:
         at, rig = self.now(), self._whole()
         above = () if self.axis is None else ("axis", self.axis)  # shared keys hold for the other axes, too
         values = {
-            (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_said(finding)}") for finding in changed
+            (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_comment(finding)}")
+            for finding in changed
         }
         text = rewritten(rig.text, values, MARK, str(self.path))
         load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # an invalid file is not written
@@ -193,7 +194,7 @@ class Session:
         return tuple(dotted(key) for key in values)
 
 
-def _said(finding: Finding) -> str:
+def _comment(finding: Finding) -> str:
     """Return the comment for a finding above its key."""
     short = toml_value(finding.old) if finding.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."

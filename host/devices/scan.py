@@ -153,7 +153,7 @@ def scan(
     """
     heard, begin_ns = _Heard(), link.now_ns()
     for node_id in NODES:
-        heard.answers.of(node_id).ask(head(0x40, 0x1000, 0))
+        heard.answers.node(node_id).ask(head(0x40, 0x1000, 0))
         link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
@@ -171,7 +171,7 @@ def scan(
             current[node_id] = place
             yield upload(*place, most=MOST_TEXT, block=False)
 
-    def tell(node_id: int, value: bytes | HostError) -> None:
+    def record(node_id: int, value: bytes | HostError) -> None:
         if isinstance(value, bytes):
             values[node_id][current[node_id]] = value
             silent[node_id] = 0
@@ -180,7 +180,9 @@ def scan(
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, timeout_s, tell, heard.answers, heard.hear)
+    run_transfers(
+        link, {node_id: transfers(node_id) for node_id in values}, timeout_s, record, heard.answers, heard.hear
+    )
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))

@@ -32,7 +32,7 @@ class RigDemands:
     frames: int
 
     @classmethod
-    def of(cls, rig: Rig) -> RigDemands:
+    def from_rig(cls, rig: Rig) -> RigDemands:
         """Return the requirements of a rig."""
         period_s = min(bus.period_s for bus in rig.buses)
         limits = [axis.limits.missed_tpdo_cycles * period_s for axis in rig.axes]

@@ -61,7 +61,7 @@ class Changes:
         now_ns : time of a monotonic clock
         """
         try:
-            request = _order(text)
+            request = _parsed(text)
             change = self._change(request, now_ns) if request["values"] or request["undo"] else None
         except NotTaken as error:
             return {"error": str(error), "again": True}
@@ -86,7 +86,7 @@ class Changes:
         return change
 
 
-def _order(text: str) -> dict[str, Any]:
+def _parsed(text: str) -> dict[str, Any]:
     """Return the parsed request, with defaults, after a check of the types.
 
     Raises

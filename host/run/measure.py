@@ -47,7 +47,7 @@ class Spread:
     max: float
 
     @classmethod
-    def of(cls, times_ns: Collection[int]) -> Spread:
+    def from_times(cls, times_ns: Collection[int]) -> Spread:
         """Return the spread of at least one time."""
         p50, p99, longest = np.percentile(np.array(list(times_ns)) / 1e3, (50, 99, 100), method="higher")
         return cls(len(times_ns), float(p50), float(p99), float(longest))
@@ -199,7 +199,7 @@ def measure_rig(
         times, rights = measure_compute(rig, _loudest(rig), cycles, cpu=cpu, progress=lambda done: report("host", done))
         if not times:
             raise SafetyTrip("the host's cycle gave no figure: its process did not cycle; see its messages above")
-    return Measured(devices, Spread.of(times), tuple(rights))
+    return Measured(devices, Spread.from_times(times), tuple(rights))
 
 
 def _loudest(rig: Rig) -> str:

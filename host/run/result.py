@@ -104,7 +104,7 @@ class RunResult(Doubts, Timing, Measures):
         return f"<run in mode {self.mode}: {f'trip {self.trip}' if self.trip else 'no trip'}{''.join(lines)}>"
 
     @classmethod
-    def of(
+    def from_controllers(
         cls,
         host: Controllers,
         figures: Sequence[Measures],

@@ -102,7 +102,7 @@ class Code(_Data):
     function: Any = Field(default=None, exclude=True)
 
     @classmethod
-    def of(cls, function: Callable[..., Any], name: str, call: str) -> Code:
+    def from_function(cls, function: Callable[..., Any], name: str, call: str) -> Code:
         """Return the code of the argument `name`; `call` is a correct call, for the message.
 
         Raises
@@ -185,8 +185,8 @@ class Run:
             mode=self.mode,
             seconds=None if self.seconds is None else float(self.seconds),
             seed=int(self.seed) if self.virtual else None,
-            rig=None if recorded is self.rig else _RigTexts.of(self.rig),
-            simulated=None if self.simulated is None else _RigTexts.of(self.simulated),
+            rig=None if recorded is self.rig else _RigTexts.from_rig(self.rig),
+            simulated=None if self.simulated is None else _RigTexts.from_rig(self.simulated),
             faults=_without_folder(self.faults),
             script=_without_folder(self.script),
             world=self.world,
@@ -205,7 +205,7 @@ class _RigTexts(_Data):
     eds: dict[str, str]
 
     @classmethod
-    def of(cls, rig: Rig) -> _RigTexts:
+    def from_rig(cls, rig: Rig) -> _RigTexts:
         return cls(rig=rig.effective(), eds=dict(rig.eds_texts))
 
     def load(self, name: str) -> Rig:
@@ -246,7 +246,7 @@ class _Named:
             raise NotRepeatable(f"{where}, and its checksum is not known: the run cannot be repeated")
         if function is None:
             raise NotRepeatable(f"{where}; name it again in Python: coulombus.repeat({self.path!r}, {part}=FUNCTION)")
-        code = Code.of(function, part, f"repeat({part}=FUNCTION)")
+        code = Code.from_function(function, part, f"repeat({part}=FUNCTION)")
         if code.sha256 != recorded.sha256:
             raise NotRepeatable(f"{self.path}: {part} {code.code}: its file is not that of the run ({recorded.code})")
         return code

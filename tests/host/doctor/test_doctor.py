@@ -37,7 +37,7 @@ from coulombus.wire.address import parse_address
 from places import ROOT
 
 CAN0 = {"": parse_address("socketcan:can0")}
-WANTED = RigDemands.of(load_rig("bench"))
+WANTED = RigDemands.from_rig(load_rig("bench"))
 CPUS = "sys/devices/system/cpu"
 LIMITS = "Limit  Soft  Hard  Units\nMax locked memory         {memlock} {memlock} bytes\nMax realtime priority     {rtprio} {rtprio}\n"
 

@@ -49,8 +49,8 @@ def test_other_keys_than_the_dead_mans_are_handed_on(terminal):
 def test_the_keys_1_to_9_are_markers():
     keys = StruckKeys(lambda: 7)
     keys.strike(b"1x0 9\xff")
-    assert list(keys.take()) == [(7, "mark 1"), (7, "mark 9")]
-    assert not list(keys.take())
+    assert list(keys.read_markers()) == [(7, "mark 1"), (7, "mark 9")]
+    assert not list(keys.read_markers())
 
 
 @pytest.mark.parametrize(
