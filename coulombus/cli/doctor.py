@@ -16,7 +16,7 @@ from coulombus.system.exit import say, verdict
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from coulombus.host.doctor.finding import Finding
+    from coulombus.host.doctor.finding import CheckResult
     from coulombus.host.doctor.latency import Latency
     from coulombus.host.doctor.wanted import RigDemands
 
@@ -85,8 +85,8 @@ def doctor(
                     _draw(measured)
 
 
-def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
-    from coulombus.host.doctor.finding import Finding
+def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, CheckResult]:
+    from coulombus.host.doctor.finding import CheckResult
     from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
 
     with progress(not quiet, "measured") as report:
@@ -98,11 +98,11 @@ def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool)
                 progress=lambda t: report("latency", t, seconds),
             )
         except LatencyError as error:
-            return None, Finding("latency", False, f"the test did not run: {error}", "# see what stands above")
+            return None, CheckResult("latency", False, f"the test did not run: {error}", "# see what stands above")
     return measured, judge(measured, needs)
 
 
-def _print_findings(findings: Sequence[Finding]) -> None:
+def _print_findings(findings: Sequence[CheckResult]) -> None:
     import textwrap
 
     width = max(len(finding.check) for finding in findings)

@@ -42,7 +42,7 @@ from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Brake"]
+__all__ = ["BrakeStep"]
 
 STROKING_HAND = (
     "operator.inertia_kg_m2=5e-4",
@@ -75,7 +75,7 @@ class _Stair:
     """Break-away torque; NaN if the handle never stuck."""
 
 
-class Brake(Step):
+class BrakeStep(Step):
     """The brake's table."""
 
     name = "brake"

@@ -50,7 +50,16 @@ from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding,
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["FREE_HAND", "REVERSAL_S", "SECONDS", "WINDOW_S", "Friction", "reversal_rad", "sweep_exercise", "sweep_risk"]
+__all__ = [
+    "FREE_HAND",
+    "REVERSAL_S",
+    "SECONDS",
+    "WINDOW_S",
+    "FrictionStep",
+    "reversal_rad",
+    "sweep_exercise",
+    "sweep_risk",
+]
 
 FREE_HAND = (
     "operator.inertia_kg_m2=0.0",
@@ -119,7 +128,7 @@ def _speeds(axis: Axis) -> tuple[float, ...]:
     return tuple(speed * scale for speed in SPEEDS_RAD_S)
 
 
-class Friction(Step):
+class FrictionStep(Step):
     """Inherent friction, identified."""
 
     name = "friction"

@@ -57,7 +57,7 @@ from coulombus.recording.friction.sliding import IdentifyError, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["LOAD_SHARE", "Motor"]
+__all__ = ["LOAD_SHARE", "MotorStep"]
 
 LEAST_SHARE = 0.3
 MOST_REACH = 0.03
@@ -78,7 +78,7 @@ def _move_s(axis: Axis) -> float:
     return move_s(axis, SPEED_RAD_S, MOVE_S)
 
 
-class Motor(Step):
+class MotorStep(Step):
     """Sign and torque constant of the motor."""
 
     name = "motor"

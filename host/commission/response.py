@@ -34,14 +34,14 @@ from coulombus.host.cycle.output_limits import brake_end_Nm
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Response"]
+__all__ = ["ResponseStep"]
 
 BRAKE_NM, HALF_S, SECONDS = 0.6, 0.187, 24.0
 """The number of steps in a stroke is not an integer, so each step falls on another angle."""
 SPEED_RAD_S, MOVE_S, DWELL_S = 1.5, 1.5, 0.1
 
 
-class Response(Step):
+class ResponseStep(Step):
     """The brake's step response."""
 
     name = "response"

@@ -31,7 +31,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.roles import Binding
 
-__all__ = ["Weight", "Zero"]
+__all__ = ["WeightStep", "ZeroStep"]
 
 OFFSET, POLARITY = "role.handle_torque.offset_Nm", "mechanics.transducer_polarity"
 ZERO_S = 4.0
@@ -52,7 +52,7 @@ def _binding(axis: Axis) -> Binding:
     return binding
 
 
-class Zero(Step):
+class ZeroStep(Step):
     """Zero and noise of the transducer."""
 
     name = "zero"
@@ -94,7 +94,7 @@ class Zero(Step):
         return Outcome(findings, curves=(curve,))
 
 
-class Weight(Step):
+class WeightStep(Step):
     """Sign and scale of the transducer."""
 
     name = "weight"

@@ -23,7 +23,7 @@ from coulombus.host.sdo.transfers import SdoSilent, Transfer, upload
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 
-__all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "Answers", "scan", "survey", "trouble"]
+__all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "NodeAnswers", "scan", "survey", "trouble"]
 
 IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 """Numeric objects: device type, identity."""
@@ -51,7 +51,7 @@ ACKNOWLEDGE, BUS_OFF, WIRE = 0x020, 0x040, 0x188
 
 
 @dataclass(frozen=True)
-class Answers:
+class NodeAnswers:
     """Answers of one node, without the objects that it lacks.
 
     Attributes
@@ -141,7 +141,7 @@ def scan(
     listen_s: float = 0.0,
     timeout_s: float = TIMEOUT_S,
     progress: Callable[[str, float, float], None] = _nothing,
-) -> tuple[Answers, ...]:
+) -> tuple[NodeAnswers, ...]:
     """Return the answers of each node on a bus, ordered by node id.
 
     Parameters
@@ -188,7 +188,7 @@ def scan(
         heard.listen(link, min(left_s, 0.2))
     twice = heard.answers.duplicate_node_ids
     return tuple(
-        Answers(
+        NodeAnswers(
             node_id,
             {p: int.from_bytes(raw, "little") for p, raw in contents.items() if p in numbers and 0 < len(raw) <= 4},
             {p: text for p, raw in contents.items() if p in TOLD and (text := _text(raw))},
@@ -208,7 +208,7 @@ def _text(raw: bytes) -> str:
     return "".join(letter for letter in text if letter.isprintable()).strip()[:60]
 
 
-def survey(address: BusAddress, drive_axis: int = 1) -> tuple[Answers, ...]:
+def survey(address: BusAddress, drive_axis: int = 1) -> tuple[NodeAnswers, ...]:
     """Return the answers of all nodes that answer SDO, with the objects for a rig file.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from coulombus.host.doctor import can, cpu, disk, linux_kernel, power, rights, software
-from coulombus.host.doctor.finding import Check, Finding, Outcome, examine
+from coulombus.host.doctor.finding import Check, CheckResult, Outcome, examine
 from coulombus.host.doctor.machine import Machine
 from coulombus.host.doctor.wanted import RigDemands
 from coulombus.wire.address import BusAddress
@@ -21,7 +21,7 @@ def examination(
     machine: Machine | None = None,
     given_cpu: int | None = None,
     folder: Path | None = None,
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Check a machine and return the findings; never raises, and changes nothing.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 from coulombus.host.doctor.machine import CannotRead
 from coulombus.system.quoting import comment
 
-__all__ = ["Check", "Finding", "Outcome", "examine", "script"]
+__all__ = ["Check", "CheckResult", "Outcome", "examine", "script"]
 
 
 class Outcome(NamedTuple):
@@ -28,7 +28,7 @@ Check: TypeAlias = tuple[str, Callable[[], Outcome]]
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """The outcome of the check `check`."""
 
     check: str
@@ -44,7 +44,7 @@ class Finding:
         return fields if self.figures else {name: fields[name] for name in fields if name != "figures"}
 
 
-def examine(checks: Iterable[Check]) -> list[Finding]:
+def examine(checks: Iterable[Check]) -> list[CheckResult]:
     """Run the checks.
 
     An unreadable value is reported as unknown, not as ok.
@@ -58,7 +58,7 @@ def examine(checks: Iterable[Check]) -> list[Finding]:
         except Exception as error:
             text = f"this check failed: {type(error).__name__}: {error}"
             outcome = Outcome(False, text, "# internal error, please report it")
-        findings.append(Finding(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
+        findings.append(CheckResult(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
     return findings
 
 
@@ -66,7 +66,7 @@ def _line(text: str) -> str:
     return " ".join(text.split())
 
 
-def script(findings: Iterable[Finding]) -> str:
+def script(findings: Iterable[CheckResult]) -> str:
     """Return a shell script of all fixes, each once, with the findings as comments."""
     lines = ["#!/bin/sh", "# made by `coulombus doctor --fix`: read it before you run it", "set -eu", ""]
     done: set[str] = set()

@@ -21,13 +21,13 @@ from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.recording.wall_clock import utc
 from coulombus.system.exit import say
 
-__all__ = ["Answers", "Progress", "axis_state", "plane_state", "with_states"]
+__all__ = ["ClientAnswers", "Progress", "axis_state", "plane_state", "with_states"]
 
 Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
 """Callback with the display's time in s and the state of each axis (`axis_state`)."""
 
 
-class Answers:
+class ClientAnswers:
     """Answers for a run on the bus named `buses`, or on several.
 
     Raises

@@ -22,7 +22,7 @@ from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import PlaneStatus
 from coulombus.host.run.arm_key import new_arm_key
 from coulombus.host.run.changes import Changes
-from coulombus.host.run.client_requests import Answers, Progress, with_states
+from coulombus.host.run.client_requests import ClientAnswers, Progress, with_states
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_external import switch_of
@@ -96,7 +96,7 @@ class RealCourse(Course):
             outside = self.address if run.world else None
             self.world = WorldDisplay(controllers, self.plane, parameters, self.changes, outside)
             self._stack.callback(self.world.close)
-            self.answers = Answers(self, self.plane, self.changes, self.buses, outputs)
+            self.answers = ClientAnswers(self, self.plane, self.changes, self.buses, outputs)
             self._stack.callback(self.answers.close)
             self.door.status, self.door.mark = self.answers.state, self.answers.mark
             self.door.change = self.answers.change

@@ -131,12 +131,12 @@ def measure_devices(
     plans = plans_of(controllers)
     try:
         configure(plans, plane)
-        return tuple(_Device(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
+        return tuple(_MeasuredDevice(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
     finally:
         plane.send(CobId.NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, 0)))
 
 
-class _Device:
+class _MeasuredDevice:
     """One device during its measurement."""
 
     def __init__(self, controllers: Controllers, plan: DevicePlan, plane: ControlPlane, wire: Wire) -> None:

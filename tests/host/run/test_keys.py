@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from coulombus.host.run.client_requests import Answers
+from coulombus.host.run.client_requests import ClientAnswers
 from coulombus.host.run.deadman import HeldKey
 from coulombus.host.run.markers import StruckKeys
 from coulombus.host.run.run import Outputs
@@ -64,7 +64,7 @@ def test_q_and_escape_stop(strokes, stop):
 
 
 def answers(run):
-    return Answers(run, None, None, "coulombus:bench", Outputs())
+    return ClientAnswers(run, None, None, "coulombus:bench", Outputs())
 
 
 @pytest.mark.parametrize("text", ["", "  ", "a\nb", "a\x1b[2J", "x" * 196])
