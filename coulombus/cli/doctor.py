@@ -16,9 +16,9 @@ from coulombus.system.exit import say, verdict
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from coulombus.host.doctor.examination import RigDemands
     from coulombus.host.doctor.finding import CheckResult
     from coulombus.host.doctor.latency import Latency
-    from coulombus.host.doctor.wanted import RigDemands
 
 __all__ = ["doctor"]
 
@@ -59,9 +59,8 @@ def doctor(
     if fix and as_json:
         raise click.UsageError("--fix prints a script, and --json a document: give one of them")
     with errors():
-        from coulombus.host.doctor.examination import examination
+        from coulombus.host.doctor.examination import RigDemands, examination
         from coulombus.host.doctor.finding import script
-        from coulombus.host.doctor.wanted import RigDemands
         from coulombus.rigs.buses import bus_addresses
         from coulombus.system.realtime import default_cpu
 

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.earlier import SCALE, TABLE, rounded
 from coulombus.host.commission.samples import Floats, handle_torque, held, independent, motion
 from coulombus.host.commission.step import (
+    SCALE,
+    TABLE,
     CommissionError,
     Curve,
     Exercise,
@@ -35,6 +36,7 @@ from coulombus.host.commission.step import (
     exercise,
     lacks_roles,
     move_s,
+    rounded,
     strokes,
 )
 from coulombus.host.cycle.output_limits import brake_end_Nm

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import Floats, counted_reach, sync_before
 from coulombus.host.commission.step import (
@@ -38,6 +37,7 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     exercise,
+    rounded,
 )
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.samples import mean_in, span_of, thinned
 from coulombus.host.commission.step import (
     CommissionError,
@@ -26,6 +25,7 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     exercise,
+    rounded,
     strokes,
 )
 from coulombus.rigs.axis import Axis

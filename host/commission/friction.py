@@ -14,7 +14,7 @@ compensates nothing. Samples of the sign check, of the gain's ramp and of revers
 
 Significant waves over the angle (`recording.friction.angle_waves`) are part of the fit, and so is a delay of
 the measured torque. Each interval is that of the fit (`recording.friction.regression`), combined with the
-intervals of the motor's torque and of the angle from earlier steps (`host.commission.earlier`).
+intervals of the motor's torque and of the angle from earlier steps (`host.commission.step`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, INERTIA, rounded
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
+    ANGLE,
+    HANDLE_TORQUE,
+    INERTIA,
     TRAVEL_SHARE,
     CommissionError,
     Curve,
@@ -40,6 +42,7 @@ from coulombus.host.commission.step import (
     Step,
     exercise,
     lacks_roles,
+    rounded,
 )
 from coulombus.host.cycle.output_limits import HYBRID_MARGIN
 from coulombus.recording.friction.angle_waves import ALL_KINDS, wave_columns

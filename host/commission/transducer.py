@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from coulombus.host.commission.earlier import SCALE, rounded
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import handle_torque, mean_in, span_of, thinned
 from coulombus.host.commission.step import (
+    SCALE,
     CommissionError,
     Curve,
     Exercise,
@@ -26,6 +26,7 @@ from coulombus.host.commission.step import (
     Step,
     exercise,
     lacks_roles,
+    rounded,
 )
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig

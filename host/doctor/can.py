@@ -1,4 +1,4 @@
-"""Checks of the CAN interface: driver, settings, and error counters."""
+"""Checks of the CAN interface: driver, settings, error counters, and the power saving of its USB port."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
 from coulombus.system.quoting import comment, extended_regex, shell
 
-__all__ = ["CanInterface", "checks"]
+__all__ = ["CanInterface", "checks", "usb"]
 
 ARPHRD_CAN = 280
 SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
@@ -347,3 +347,26 @@ def timestamps(can: CanInterface) -> Outcome:
     if can.machine.stamps(can.name):
         return Outcome(True, "in hardware")
     return Outcome(True, "by the kernel, when the frame is handed over: some tens of microseconds late")
+
+
+def usb(machine: Machine, interface: str) -> Outcome:
+    """Check that the USB port stays awake: with power saving it sleeps on a quiet bus, and wakes milliseconds
+    late.
+    """
+    device = machine.path(f"/sys/class/net/{interface}/device")
+    if not device.exists():
+        return Outcome(True, f"{interface} is on no port")
+    real, root = Path(os.path.realpath(device)), Path(os.path.realpath(machine.root))
+    port = next((place for place in (real, *real.parents) if re.fullmatch(r"\d+-\d+(\.\d+)*", place.name)), None)
+    if port is None:
+        return Outcome(True, f"{interface} is not on USB")
+    try:
+        name = f"/{port.relative_to(root)}/power/control"
+    except ValueError:
+        raise CannotRead(f"{interface} is at {port}, outside of {root}") from None
+    control = machine.text(name)
+    if control == "on":
+        return Outcome(True, f"USB port {port.name} stays awake")
+    if control != "auto":
+        raise nonsense(name, control, "on or auto")
+    return Outcome(False, f"USB port {port.name} may sleep", f"echo on | sudo tee {name}")

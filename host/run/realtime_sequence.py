@@ -20,12 +20,10 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import PlaneStatus
-from coulombus.host.run.arm_key import new_arm_key
-from coulombus.host.run.changes import Changes
+from coulombus.host.run.changes import Changes, new_arm_key
 from coulombus.host.run.client_requests import ClientAnswers, Progress, with_states
 from coulombus.host.run.control_socket import HostSocket
-from coulombus.host.run.deadman import Switch, deadman_of
-from coulombus.host.run.deadman_external import switch_of
+from coulombus.host.run.deadman import Switch, deadman_of, switch_of
 from coulombus.host.run.last_word import forget_word, leave_word, wall_time
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.preflight import place_of, refusing
