@@ -16,8 +16,8 @@ from coulombus.system.exit import say, verdict
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from coulombus.host.doctor.checks import CheckResult
     from coulombus.host.doctor.examination import RigDemands
-    from coulombus.host.doctor.finding import CheckResult
     from coulombus.host.doctor.latency import Latency
 
 __all__ = ["doctor"]
@@ -59,8 +59,8 @@ def doctor(
     if fix and as_json:
         raise click.UsageError("--fix prints a script, and --json a document: give one of them")
     with errors():
+        from coulombus.host.doctor.checks import script
         from coulombus.host.doctor.examination import RigDemands, examination
-        from coulombus.host.doctor.finding import script
         from coulombus.rigs.buses import bus_addresses
         from coulombus.system.realtime import default_cpu
 
@@ -85,7 +85,7 @@ def doctor(
 
 
 def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, CheckResult]:
-    from coulombus.host.doctor.finding import CheckResult
+    from coulombus.host.doctor.checks import CheckResult
     from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
 
     with progress(not quiet, "measured") as report:

@@ -12,9 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from coulombus.host.doctor.finding import Check, Outcome
+from coulombus.host.doctor.checks import Absent, CannotRead, Check, Machine, Outcome, nonsense
 from coulombus.host.doctor.linux_kernel import preempt_rt
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
 from coulombus.system.quoting import comment, extended_regex, shell
 

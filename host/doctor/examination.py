@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from coulombus.host.doctor import can, cpu, linux_kernel, rights, software
-from coulombus.host.doctor.finding import Check, CheckResult, Outcome, examine
-from coulombus.host.doctor.machine import CannotRead, Machine
+from coulombus.host.doctor.checks import CannotRead, Check, CheckResult, Machine, Outcome, examine
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 

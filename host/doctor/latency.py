@@ -18,8 +18,8 @@ from pathlib import Path
 from shutil import which
 from typing import Any
 
+from coulombus.host.doctor.checks import CheckResult, Outcome
 from coulombus.host.doctor.examination import RigDemands
-from coulombus.host.doctor.finding import CheckResult, Outcome
 from coulombus.system.errors import CoulombusError
 from coulombus.system.realtime import die_with_parent
 

@@ -15,9 +15,9 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.doctor import software
+from coulombus.host.doctor.checks import Absent, CannotRead, Machine, Outcome, examine, script
 from coulombus.host.doctor.cpu import others_mask
 from coulombus.host.doctor.examination import RigDemands, examination, free
-from coulombus.host.doctor.finding import Outcome, examine, script
 from coulombus.host.doctor.latency import (
     Latency,
     LatencyError,
@@ -27,7 +27,6 @@ from coulombus.host.doctor.latency import (
     measure_latency,
     read_cyclictest,
 )
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.rigs.rig import load_rig
 from coulombus.system.realtime import bus_cpu, cpu_list, default_cpu
