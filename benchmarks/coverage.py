@@ -26,9 +26,8 @@ import numpy as np
 from benchmarks.size import size
 from coulombus.host.commission.encoder import MOVE_S
 from coulombus.host.commission.friction import SECONDS
-from coulombus.host.commission.session import Runner, Session
+from coulombus.host.commission.session import STEPS, Runner, Session
 from coulombus.host.commission.step import Exercise, Finding, Given
-from coulombus.host.commission.steps import STEPS
 from coulombus.host.run.result import RunResult
 from coulombus.lab.commissioning import rehearsed
 from coulombus.rigs.rig import Rig, load_rig, packaged_rig

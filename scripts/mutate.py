@@ -99,7 +99,6 @@ TARGETS = {
     "host/run/run_sequence.py": Target(("test_run_sequence_edges",)),
     "host/run/control_socket.py": Target(("test_control_socket_edges", "test_control_socket")),
     "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
-    "host/run/deadman_external.py": Target(("test_deadman_edges", "test_deadman")),
     "host/realtime/loop.py": Target(
         ("test_loop_edges",),
         ("_skip", "_look_after_parent", "_all_done", "_count", "_obey", "_goes_on", "run_plane"),

@@ -136,8 +136,7 @@ class _Findings:
         from coulombus.host.cycle.controller import Controller
         from coulombus.host.cycle.output_limits import brake_limit
         from coulombus.host.setup.device_plan import device_plans
-        from coulombus.host.setup.law_demand import cut_off
-        from coulombus.host.setup.limit_meanings import meanings_of
+        from coulombus.host.setup.law_demand import cut_off, meanings_of
         from coulombus.host.setup.release import failure_of, release_of
         from coulombus.host.setup.settings import torque_limits
         from coulombus.rigs.devices import drive_axis_of

@@ -174,9 +174,8 @@ def commission(
       coulombus commission --rig my.toml --virtual --truth truth.toml --yes --json
     """
     with errors():
-        from coulombus.host.commission.session import Session, results
+        from coulombus.host.commission.session import STEPS, Session, results
         from coulombus.host.commission.step import Given
-        from coulombus.host.commission.steps import STEPS
 
         steps = _selected(STEPS, doing.names)
         if doing.listed:
@@ -217,7 +216,7 @@ def _selected(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ..
 
 def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None, as_json: bool) -> None:
     """Print the steps, and end."""
-    from coulombus.host.commission.progress import Progress, folder_of
+    from coulombus.host.commission.session import Progress, folder_of
 
     done = Progress.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
     rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]

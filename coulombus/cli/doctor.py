@@ -16,9 +16,9 @@ from coulombus.system.exit import say, verdict
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from coulombus.host.doctor.finding import Finding
+    from coulombus.host.doctor.checks import CheckResult
+    from coulombus.host.doctor.examination import RigDemands
     from coulombus.host.doctor.latency import Latency
-    from coulombus.host.doctor.wanted import RigDemands
 
 __all__ = ["doctor"]
 
@@ -59,15 +59,14 @@ def doctor(
     if fix and as_json:
         raise click.UsageError("--fix prints a script, and --json a document: give one of them")
     with errors():
-        from coulombus.host.doctor.examination import examination
-        from coulombus.host.doctor.finding import script
-        from coulombus.host.doctor.wanted import RigDemands
+        from coulombus.host.doctor.checks import script
+        from coulombus.host.doctor.examination import RigDemands, examination
         from coulombus.rigs.buses import bus_addresses
         from coulombus.system.realtime import default_cpu
 
         cpu = default_cpu() if cpu is None else cpu
         rig = load(rig_name, overrides)
-        needs = RigDemands.of(rig)
+        needs = RigDemands.from_rig(rig)
         addresses = bus_addresses(rig, bus_names)
         findings = examination(needs, addresses, given_cpu=cpu)
         measured = None
@@ -85,8 +84,8 @@ def doctor(
                     _draw(measured)
 
 
-def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, Finding]:
-    from coulombus.host.doctor.finding import Finding
+def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool) -> tuple[Latency | None, CheckResult]:
+    from coulombus.host.doctor.checks import CheckResult
     from coulombus.host.doctor.latency import LatencyError, judge, measure_latency
 
     with progress(not quiet, "measured") as report:
@@ -98,11 +97,11 @@ def _latency(seconds: float, needs: RigDemands, cpu: int | None, *, quiet: bool)
                 progress=lambda t: report("latency", t, seconds),
             )
         except LatencyError as error:
-            return None, Finding("latency", False, f"the test did not run: {error}", "# see what stands above")
+            return None, CheckResult("latency", False, f"the test did not run: {error}", "# see what stands above")
     return measured, judge(measured, needs)
 
 
-def _print_findings(findings: Sequence[Finding]) -> None:
+def _print_findings(findings: Sequence[CheckResult]) -> None:
     import textwrap
 
     width = max(len(finding.check) for finding in findings)

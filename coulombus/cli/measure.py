@@ -104,7 +104,7 @@ def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> Non
 
 
 def _document(measured: Measured, rig: Rig, bus: str) -> dict[str, Any]:
-    from coulombus.host.run.measure import Spread
+    from coulombus.host.run.measure import TimeQuantiles
 
     before = {node.name: node.part.response_us for node in rig.nodes}
     devices = []
@@ -114,7 +114,7 @@ def _document(measured: Measured, rig: Rig, bus: str) -> dict[str, Any]:
                 "pdo": pdo.name,
                 "can_id": pdo.can_id,
                 "missed": pdo.missed,
-                **(_spread(Spread.of(pdo.times_ns)) if pdo.times_ns else {}),
+                **(_spread(TimeQuantiles.from_times(pdo.times_ns)) if pdo.times_ns else {}),
             }
             for pdo in device.pdos
         ]
@@ -139,13 +139,13 @@ def _spread(spread: Any) -> dict[str, Any]:
 
 def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
     """Write the values into the rig file, each with its source."""
-    from coulombus.host.run.measure import Spread
+    from coulombus.host.run.measure import TimeQuantiles
     from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
     from coulombus.rigs.rig import load_rig_text
 
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
 
-    def note(spread: Spread) -> str:
+    def note(spread: TimeQuantiles) -> str:
         return f"{today}: p50 {spread.p50:.0f}, p99 {spread.p99:.0f}, max {spread.max:.0f} us of {spread.count}"
 
     times = {
@@ -154,7 +154,7 @@ def _write(rig: Rig, measured: Measured, on_bus: Rig) -> Path:
     numbers = {}
     for key, value in measured.numbers(on_bus).items():
         name = str(key[-2]) if key[0] != "axis" else f"{key[1]}.{key[-2]}"
-        spread = measured.host if key == ("host", "compute_s") else Spread.of(times[name])
+        spread = measured.host if key == ("host", "compute_s") else TimeQuantiles.from_times(times[name])
         numbers[key] = NewValue(value, note(spread))
     text = rewritten(rig.text, numbers, MARK, rig.path)
     load_rig_text(text, rig.path)  # check that the result is a valid rig

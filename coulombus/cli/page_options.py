@@ -134,8 +134,7 @@ def serve_page(
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
     from coulombus.host.run.last_word import keep_page, last_word
-    from coulombus.host.run.law_curve import law_curve
-    from coulombus.host.run.law_ring import law_ring
+    from coulombus.host.run.law_curve import law_curve, law_ring
     from coulombus.host.run.runbook import entry
     from coulombus.wire.address import socket_path
 

@@ -17,7 +17,7 @@ from coulombus.system.exit import say, verdict
 if TYPE_CHECKING:
     from coulombus.eds.reader import Description
     from coulombus.host.devices.lss import Identity
-    from coulombus.host.devices.scan import Answers
+    from coulombus.host.devices.scan import NodeAnswers
 
 __all__ = ["scan"]
 
@@ -130,7 +130,7 @@ def _path(description: Description | None) -> str | None:
     return None if description is None else description.path
 
 
-def _row(answers: Answers, description: Description | None) -> dict[str, Any]:
+def _row(answers: NodeAnswers, description: Description | None) -> dict[str, Any]:
     """Return a node for JSON; null: unknown."""
     keys = ("vendor_id", "product_code", "revision", "serial")
     identity = {key: answers.numbers.get((0x1018, part)) for part, key in enumerate(keys, 1)}

@@ -26,7 +26,7 @@ from coulombus.system.exit import say, verdict
 from coulombus.system.foreign_text import printable
 
 if TYPE_CHECKING:
-    from coulombus.host.devices.configuration import Difference
+    from coulombus.host.devices.configuration import ObjectDifference
     from coulombus.host.devices.device import KnownDevice
 
 __all__ = ["sdo"]
@@ -291,7 +291,7 @@ def _agreed(question: str) -> bool:
     return click.confirm(printable(question), err=True)
 
 
-def _print_differences(differences: list[Difference]) -> None:
+def _print_differences(differences: list[ObjectDifference]) -> None:
     from rich.markup import escape
     from rich.table import Table
 

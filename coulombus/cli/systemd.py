@@ -54,7 +54,7 @@ def systemd(
     """
     with errors():
         from coulombus.host.run.preflight import check_no_guess, check_no_rehearsal
-        from coulombus.host.service.units import Service, files
+        from coulombus.host.service.units import UnitSettings, files
         from coulombus.recording.output_file import check as check_output
         from coulombus.recording.output_file import new_file
         from coulombus.rigs.buses import one_bus
@@ -70,7 +70,7 @@ def systemd(
         check_no_guess(rig, address)
         script = shutil.which("coulombus", path=str(Path(sys.prefix, "bin")))
         limits = [axis.limits for axis in on_bus.axes]
-        service = Service(
+        service = UnitSettings(
             program=(script,) if script else (sys.executable, "-P", "-m", "coulombus"),
             rig=rig_name if rig_name in known_rigs() else str(Path(rig_name).absolute()),
             bus=str(address),

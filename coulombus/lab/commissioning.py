@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.host.commission.report import write_report
-from coulombus.host.commission.session import Runner, Session, StepEnd, results
+from coulombus.host.commission.session import STEPS, Runner, Session, StepEnd, results
 from coulombus.host.commission.step import CommissionError, Exercise, Finding, Given
-from coulombus.host.commission.steps import STEPS
 from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.arguments import path_text

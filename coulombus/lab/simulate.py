@@ -106,10 +106,10 @@ def simulate(
         seed,
         simulated,
         faults=_text(plan, "faults", "fault file", FaultError),
-        script=Code.of(script, "script", SCRIPT)
+        script=Code.from_function(script, "script", SCRIPT)
         if callable(script)
         else _text(script, "script", "script", ScriptError),
-        world=None if world is None else Code.of(world, "world", WORLD),
+        world=None if world is None else Code.from_function(world, "world", WORLD),
         world_every=world_every,
         outputs=outputs,
     )

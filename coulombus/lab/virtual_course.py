@@ -133,16 +133,16 @@ class VirtualCourse(Course):
     @property
     def safe_ns(self) -> int | None:
         """Time at which the first axis entered its safe state, by the world's clock, not the host's."""
-        safe_ns = self.k.safe_ns
+        safe_ns = self.controllers.safe_ns
         return None if safe_ns is None else int(bus_ns(self.world.host_clock, safe_ns))
 
-    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+    def advance(self, until_ns: int, done: Callable[[], bool]) -> bool:
         """Run in steps short enough to show progress and to write the recording."""
         world = self.world
         world.run_until(min(until_ns, world.t_ns + self._look_ns), done)
-        waiting = self.k.host["waiting"] != 0
-        if self.k.done and waiting.any():  # the run ends with a whole cycle of all axes
-            window_ns = int(self.k.host["next_ns"][waiting].max())
+        waiting = self.controllers.host["waiting"] != 0
+        if self.controllers.done and waiting.any():  # the run ends with a whole cycle of all axes
+            window_ns = int(self.controllers.host["next_ns"][waiting].max())
             world.run_until(int(bus_ns(world.host_clock, window_ns)) + 1)
         self.mark_course(world.t_ns + (world.t_ns < until_ns))  # an event at the display's end is excluded
         world.flush()
@@ -151,7 +151,7 @@ class VirtualCourse(Course):
         enabled = self.enabled_ns
         if self.progress is not None and enabled is not None:
             self.progress((world.t_ns - enabled) * 1e-9)
-        return not self.k.ending
+        return not self.controllers.ending
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
         """Ask the host for the safe state."""
@@ -174,14 +174,14 @@ class VirtualCourse(Course):
         if truth is not None:
             with _truth_errors(truth):
                 os.close(open_new(truth, force=self._run.outputs.force))
-        self.recorder = begin_recording(self._run, self.k)
+        self.recorder = begin_recording(self._run, self.controllers)
         if self.recorder is not None:
             world.on_host = self._write_host
             world.record_messages()
         losses = self._ready_losses
         if losses is None:
             losses = set_up(world, cached=self.only_figures)
-        self.mark(world.t_ns, f"run {self.k.mode}")
+        self.mark(world.t_ns, f"run {self.controllers.mode}")
         return losses
 
     @contextmanager
@@ -196,7 +196,7 @@ class VirtualCourse(Course):
         world.stop_host()
         self.ended_ns = world.t_ns
         if not self.only_figures:
-            release(self.k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
+            release(self.controllers, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
             shut_down(world)
 
     def mark(self, t_ns: int, text: str) -> None:
@@ -210,7 +210,7 @@ class VirtualCourse(Course):
         if self.measured is None:
             return super().figures()
         if self.enabled_ns is None:
-            return Figures([Measures() for _ in self.k], None)
+            return Figures([Measures() for _ in self.controllers], None)
         return Figures([measure(recording) for recording in self.measured.recordings()], None)
 
     def end(self) -> None:
@@ -229,7 +229,7 @@ class VirtualCourse(Course):
         if truth is not None:
             with _truth_errors(truth), truth.open("wb") as file:  # given a name, numpy would append .npz to it
                 np.savez(file, **self.world.truth())
-        k, enabled, trip = self.k, self.enabled_ns, self.trip
+        k, enabled, trip = self.controllers, self.enabled_ns, self.trip
         result = self.result_of(
             self.figures(),
             missed_deadlines=int(k.host[0]["late_cycles"]),
@@ -248,8 +248,8 @@ class VirtualCourse(Course):
 
     def _plane(self) -> dict[str, Any] | None:
         """Return the figures of an arm in the plane."""
-        model, enabled = self.k.plane_model, self.enabled_ns
-        figures = self.k.plane_figures()
+        model, enabled = self.controllers.plane_model, self.enabled_ns
+        figures = self.controllers.plane_figures()
         if model is None or figures is None or enabled is None or not (self.measured or self.recorder):
             return figures
         return figures | plane_figures(self.world.rig, model.law, self.world.tip_course(), enabled * 1e-9)

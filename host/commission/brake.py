@@ -20,9 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.earlier import SCALE, TABLE, rounded
 from coulombus.host.commission.samples import Floats, handle_torque, held, independent, motion
 from coulombus.host.commission.step import (
+    SCALE,
+    TABLE,
     CommissionError,
     Curve,
     Exercise,
@@ -35,6 +36,7 @@ from coulombus.host.commission.step import (
     exercise,
     lacks_roles,
     move_s,
+    rounded,
     strokes,
 )
 from coulombus.host.cycle.output_limits import brake_end_Nm
@@ -42,7 +44,7 @@ from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Brake"]
+__all__ = ["BrakeStep"]
 
 STROKING_HAND = (
     "operator.inertia_kg_m2=5e-4",
@@ -75,7 +77,7 @@ class _Stair:
     """Break-away torque; NaN if the handle never stuck."""
 
 
-class Brake(Step):
+class BrakeStep(Step):
     """The brake's table."""
 
     name = "brake"

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import Floats, counted_reach, sync_before
 from coulombus.host.commission.step import (
@@ -38,12 +37,13 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     exercise,
+    rounded,
 )
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Delay"]
+__all__ = ["DelayStep"]
 
 HALF_S, SECONDS, SKIP_S = 0.04, 5.0, 1.5
 FRICTION_SHARE = 0.5
@@ -58,7 +58,7 @@ SETTLED = 5
 AFTER = 25
 
 
-class _Answer(NamedTuple):
+class _StepResponse(NamedTuple):
     """Response of the device to a step, with half of the 95 % intervals."""
 
     delay_us: float
@@ -70,7 +70,7 @@ class _Answer(NamedTuple):
     y: list[float]
 
 
-class Delay(Step):
+class DelayStep(Step):
     """Delay and time constant of motor and coil."""
 
     name = "delay"
@@ -138,7 +138,7 @@ class Delay(Step):
         return Outcome(tuple(findings), curves=(curve,))
 
 
-def _answer(recording: Recording, command_name: str, answered: str, size: float) -> _Answer:
+def _answer(recording: Recording, command_name: str, answered: str, size: float) -> _StepResponse:
     """Return the response of `answered` to the steps of `command_name`, which have the size `size`.
 
     Raises
@@ -159,9 +159,9 @@ def _answer(recording: Recording, command_name: str, answered: str, size: float)
     first = int(np.argmax(mean > max(LEAST_SHARE * top, 2 * sigma)))
     if mean[first] > (1 - LEAST_SHARE) * top:  # complete within a cycle: no fit is possible
         reached, cycle = float(t[first]), float(t[1] - t[0])
-        return _Answer(1e6 * (reached - cycle / 2), 1e6 * cycle / 2, None, None, t_ms, shares)
+        return _StepResponse(1e6 * (reached - cycle / 2), 1e6 * cycle / 2, None, None, t_ms, shares)
     delay, tau, reach = _fitted(t[first:], mean[first:], top, sigma)
-    return _Answer(1e6 * delay, 1e6 * float(reach[0]), 1e3 * tau, 1e3 * float(reach[1]), t_ms, shares)
+    return _StepResponse(1e6 * delay, 1e6 * float(reach[0]), 1e3 * tau, 1e3 * float(reach[1]), t_ms, shares)
 
 
 def _fitted(t: Floats, y: Floats, top: float, sigma: float) -> tuple[float, float, Floats]:

@@ -11,7 +11,7 @@ from coulombus.recording.measures import measure
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Display"]
+__all__ = ["DisplayStep"]
 
 MODES = ("hybrid", "passive", "active")
 SCHEDULE = (
@@ -22,7 +22,7 @@ SCHEDULE = (
 STILL_COUNTS = 2
 
 
-class Display(Step):
+class DisplayStep(Step):
     """Hold and stroke test."""
 
     name = "display"

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from coulombus.host.commission.earlier import rounded
 from coulombus.host.commission.samples import mean_in, span_of, thinned
 from coulombus.host.commission.step import (
     CommissionError,
@@ -26,12 +25,13 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     exercise,
+    rounded,
     strokes,
 )
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["FIRM_HAND", "Encoder"]
+__all__ = ["FIRM_HAND", "EncoderStep"]
 
 FIRM_HAND = (
     "operator.inertia_kg_m2=5e-4",
@@ -47,7 +47,7 @@ LEAST_RAD, MOST_RAD = 0.05, 50.0
 LEAST_SHARE = 0.1
 
 
-class Encoder(Step):
+class EncoderStep(Step):
     """Sign of the encoder, and counts of a turn of the handle, which stay in the rig file as a second check of
     the position's scale.
     """

@@ -14,7 +14,7 @@ compensates nothing. Samples of the sign check, of the gain's ramp and of revers
 
 Significant waves over the angle (`recording.friction.angle_waves`) are part of the fit, and so is a delay of
 the measured torque. Each interval is that of the fit (`recording.friction.regression`), combined with the
-intervals of the motor's torque and of the angle from earlier steps (`host.commission.earlier`).
+intervals of the motor's torque and of the angle from earlier steps (`host.commission.step`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, INERTIA, rounded
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
+    ANGLE,
+    HANDLE_TORQUE,
+    INERTIA,
     TRAVEL_SHARE,
     CommissionError,
     Curve,
@@ -40,6 +42,7 @@ from coulombus.host.commission.step import (
     Step,
     exercise,
     lacks_roles,
+    rounded,
 )
 from coulombus.host.cycle.output_limits import HYBRID_MARGIN
 from coulombus.recording.friction.angle_waves import ALL_KINDS, wave_columns
@@ -50,7 +53,16 @@ from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding,
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["FREE_HAND", "REVERSAL_S", "SECONDS", "WINDOW_S", "Friction", "reversal_rad", "sweep_exercise", "sweep_risk"]
+__all__ = [
+    "FREE_HAND",
+    "REVERSAL_S",
+    "SECONDS",
+    "WINDOW_S",
+    "FrictionStep",
+    "reversal_rad",
+    "sweep_exercise",
+    "sweep_risk",
+]
 
 FREE_HAND = (
     "operator.inertia_kg_m2=0.0",
@@ -119,7 +131,7 @@ def _speeds(axis: Axis) -> tuple[float, ...]:
     return tuple(speed * scale for speed in SPEEDS_RAD_S)
 
 
-class Friction(Step):
+class FrictionStep(Step):
     """Inherent friction, identified."""
 
     name = "friction"
@@ -166,7 +178,7 @@ class Friction(Step):
             inertia = widened(device.inertia_kg_m2, torque, angle)
             rows.append((INERTIA, "inertia", mechanics.inertia_kg_m2, "kg m2", inertia))
         findings = [_finding(key, name, old, unit, estimate, basis) for key, name, old, unit, estimate in rows]
-        wave = _Wave.of(identification, torque)
+        wave = _Wave.from_identification(identification, torque)
         findings += _limit(axis, findings[0].new)
         findings += _cogging(axis, wave, basis)
         middles = 0.5 * (edges[:-1] + edges[1:])
@@ -199,7 +211,7 @@ class _Wave:
     at: Callable[[Floats], Floats]
 
     @classmethod
-    def of(cls, identification: Identification, torque_share: float) -> _Wave | None:
+    def from_identification(cls, identification: Identification, torque_share: float) -> _Wave | None:
         """Return the cogging with the interval of its amplitude, by the delta method; None without cogging."""
         if identification.cogging is None:
             return None

@@ -19,7 +19,7 @@ from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["Limits"]
+__all__ = ["LimitsStep"]
 
 SECONDS = 4.0
 NOISE_FACTOR = 6.0
@@ -29,7 +29,7 @@ JUMP_LOOSE = 10.0
 """Multiple of the counts at the speed limit above which a jump would not be detected."""
 
 
-class Limits(Step):
+class LimitsStep(Step):
     """Limits that contradict the rig."""
 
     name = "limits"

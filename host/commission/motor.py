@@ -24,7 +24,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from coulombus.host.commission.earlier import ANGLE, HANDLE_TORQUE, SCALE, rounded
 from coulombus.host.commission.friction import (
     REVERSAL_S,
     SECONDS,
@@ -35,6 +34,9 @@ from coulombus.host.commission.friction import (
 )
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
+    ANGLE,
+    HANDLE_TORQUE,
+    SCALE,
     CommissionError,
     Curve,
     Exercise,
@@ -46,6 +48,7 @@ from coulombus.host.commission.step import (
     Step,
     lacks_roles,
     move_s,
+    rounded,
     strokes,
 )
 from coulombus.recording.friction.angle_waves import ALL_KINDS, find_waves, wave_columns
@@ -57,7 +60,7 @@ from coulombus.recording.friction.sliding import IdentifyError, sliding
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
-__all__ = ["LOAD_SHARE", "Motor"]
+__all__ = ["LOAD_SHARE", "MotorStep"]
 
 LEAST_SHARE = 0.3
 MOST_REACH = 0.03
@@ -78,7 +81,7 @@ def _move_s(axis: Axis) -> float:
     return move_s(axis, SPEED_RAD_S, MOVE_S)
 
 
-class Motor(Step):
+class MotorStep(Step):
     """Sign and torque constant of the motor."""
 
     name = "motor"

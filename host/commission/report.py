@@ -13,9 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from coulombus.host.commission.progress import Progress
-from coulombus.host.commission.session import Session
-from coulombus.host.commission.steps import STEPS
+from coulombus.host.commission.session import STEPS, Progress, Session
 from coulombus.rigs.rig import Rig
 from coulombus.system.unfinished_file import write_whole
 

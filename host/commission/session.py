@@ -2,18 +2,36 @@
 
 Nothing is written before a step is finished. If a trip, a signal, a lost device or a full disk ends it, the
 rig file is unchanged, and the earlier steps remain done.
+
+The progress is stored in a folder next to the rig file, so that the session can be resumed:
+
+    my.toml                         the rig file, with the findings
+    my.commission/state.json        the outcome of each finished step
+    my.commission/friction.pcapng   the recordings of the steps
+    my.commission/my.TIME.toml      the rig file before each change
+    my.commission/report.html       the report on one page
+
+For a rig file with named axes, each axis has such a folder: ``my.commission/left``.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from coulombus.host.commission.earlier import shares
-from coulombus.host.commission.progress import Progress, folder_of
+from coulombus.host.commission.brake import BrakeStep
+from coulombus.host.commission.delay import DelayStep
+from coulombus.host.commission.display import DisplayStep
+from coulombus.host.commission.encoder import EncoderStep
+from coulombus.host.commission.friction import FrictionStep
+from coulombus.host.commission.limits import LimitsStep
+from coulombus.host.commission.motor import MotorStep
+from coulombus.host.commission.response import ResponseStep
 from coulombus.host.commission.step import (
+    CommissionError,
     Exercise,
     ExerciseResult,
     Finding,
@@ -22,7 +40,9 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     TrippedExercise,
+    shares,
 )
+from coulombus.host.commission.transducer import WeightStep, ZeroStep
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.result import RunResult
 from coulombus.recording.reading import read
@@ -30,14 +50,31 @@ from coulombus.rigs.errors import dotted, toml_value
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.system.errors import CoulombusError
+from coulombus.system.unfinished_file import write_whole
 
-__all__ = ["MARK", "RunEnded", "Runner", "Session", "StepEnd", "results"]
+__all__ = ["MARK", "STEPS", "Progress", "RunEnded", "Runner", "Session", "StepEnd", "folder_of", "results"]
 
 MARK = "commission"
 """Prefix of the comments that commissioning writes above a key."""
 
 Runner: TypeAlias = Callable[[Exercise, Path], RunResult]
 """Runs an exercise with a recording at a path: on a bus (`host.run.real_run`), or in virtual time."""
+VERSION = 1
+LARGEST = 1 << 24
+KEPT = ("at", "title", "findings", "remarks", "curves", "recordings")
+"""Stored entries of a step."""
+STEPS: tuple[Step, ...] = (
+    ZeroStep(),
+    WeightStep(),
+    EncoderStep(),
+    MotorStep(),
+    FrictionStep(),
+    BrakeStep(),
+    ResponseStep(),
+    DelayStep(),
+    LimitsStep(),
+    DisplayStep(),
+)
 
 
 class RunEnded(CoulombusError):
@@ -148,7 +185,7 @@ class Session:
                 return StepEnd(step.name, step.title, "skipped")
             self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
-            runs = [self._take(step, exercise) for exercise in exercises]
+            runs = [self._run_exercise(step, exercise) for exercise in exercises]
             inputs = replace(self.given, shares=shares(self.state.steps))
             outcome = step.analyse(runs, axis, inputs)
             written = self._write(step, outcome)
@@ -162,7 +199,7 @@ class Session:
         self.state.keep(step.name, record)
         return StepEnd(step.name, step.title, "done", outcome=outcome, written=written)
 
-    def _take(self, step: Step, exercise: Exercise) -> ExerciseResult:
+    def _run_exercise(self, step: Step, exercise: Exercise) -> ExerciseResult:
         """Run an exercise, and return its recording."""
         path = self.state.folder / f"{exercise.name}.pcapng"
         result = self.run(exercise, path)
@@ -183,7 +220,8 @@ class Session:
         at, rig = self.now(), self._whole()
         above = () if self.axis is None else ("axis", self.axis)  # shared keys hold for the other axes, too
         values = {
-            (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_said(finding)}") for finding in changed
+            (*above, *finding.key.split(".")): NewValue(finding.new, f"{at}: {_comment(finding)}")
+            for finding in changed
         }
         text = rewritten(rig.text, values, MARK, str(self.path))
         load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # an invalid file is not written
@@ -193,7 +231,7 @@ class Session:
         return tuple(dotted(key) for key in values)
 
 
-def _said(finding: Finding) -> str:
+def _comment(finding: Finding) -> str:
     """Return the comment for a finding above its key."""
     short = toml_value(finding.old) if finding.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."
@@ -206,3 +244,68 @@ def _said(finding: Finding) -> str:
 def results(done: Sequence[StepEnd]) -> Mapping[str, Any]:
     """Return the output of `coulombus commission --json`."""
     return {"steps": [end.as_dict() for end in done]}
+
+
+def folder_of(rig_path: Path, axis: str | None = None) -> Path:
+    """Return the folder of a rig file's commissioning, or the folder of an axis in it."""
+    folder = rig_path.with_name(f"{rig_path.stem}.commission")
+    return folder if axis is None else folder / axis
+
+
+@dataclass
+class Progress:
+    """The finished steps, in their order.
+
+    Attributes
+    ----------
+    folder : folder of the commissioning
+    steps : name of a step -> {"at": time, "findings": [...], "remarks": [...], "curves": [...],
+        "recordings": [...]}
+    """
+
+    folder: Path
+    steps: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Path:
+        """Path of the state file."""
+        return self.folder / "state.json"
+
+    @classmethod
+    def load(cls, folder: Path) -> Progress:
+        """Return the progress in a folder; empty if there is none.
+
+        Raises
+        ------
+        CommissionError
+            the file is not a state of this version
+        OSError
+            the file cannot be read
+        """
+        state = cls(folder)
+        try:
+            with state.path.open("rb") as file:
+                raw = file.read(LARGEST)
+        except FileNotFoundError:
+            return state
+        try:
+            values = json.loads(raw)
+            if values["version"] != VERSION or not all(set(KEPT) <= step.keys() for step in values["steps"].values()):
+                raise ValueError
+        except (ValueError, KeyError, TypeError, AttributeError):
+            refusal = f"this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
+            raise CommissionError(f"{state.path}: {refusal}") from None
+        state.steps = values["steps"]
+        return state
+
+    def keep(self, name: str, outcome: dict[str, Any]) -> None:
+        """Store the outcome of a step; the file is replaced as a whole.
+
+        Raises
+        ------
+        OSError
+            the file cannot be written; it is unchanged
+        """
+        steps = {other: result for other, result in self.steps.items() if other != name} | {name: outcome}
+        write_whole(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
+        self.steps = steps

@@ -1,7 +1,17 @@
-"""Interface of a commissioning step: its risk, its exercises, and the analysis of their recordings."""
+r"""Interface of a commissioning step: its risk, its exercises, and the analysis of their recordings.
+
+A step computes with figures of the rig file, each of which is a factor of its result. So the intervals of earlier steps
+contribute to its own: by the delta method, the squares of relative 95 % reaches add,
+
+.. math:: \Bigl(\frac{r}{x}\Bigr)^2 = \Bigl(\frac{r_0}{x}\Bigr)^2 + \sum_i s_i^2
+
+(JCGM 100:2008, GUM, 5.1.6). If a measured figure was not written because its difference was not
+significant, this difference is added to its reach: the file has the old value.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,6 +24,11 @@ from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
 __all__ = [
+    "ANGLE",
+    "HANDLE_TORQUE",
+    "INERTIA",
+    "SCALE",
+    "TABLE",
     "TRAVEL_SHARE",
     "CommissionError",
     "Curve",
@@ -28,6 +43,8 @@ __all__ = [
     "exercise",
     "lacks_roles",
     "move_s",
+    "rounded",
+    "shares",
     "strokes",
 ]
 
@@ -51,7 +68,7 @@ class Given:
     weight_reach_Nm: float = 0.0
     """Half of the 95 % interval of the weight's torque."""
     shares: Mapping[str, float] = field(default_factory=dict)
-    """Relative 95 % reaches of the figures that earlier steps have measured (`host.commission.earlier`)."""
+    """Relative 95 % reaches of the figures that earlier steps have measured (`shares`)."""
 
     def share(self, *names: str) -> float:
         """Return the relative reach of the first measured figure of `names`; 0 if none was measured."""
@@ -253,3 +270,41 @@ def exercise(
         schedule,
     )
     return Exercise(name, variant, mode, variant.schedule_s, (*hand, schedule), may_trip)
+
+
+SCALE = "role.handle_torque.scale_Nm"
+HANDLE_TORQUE = "torque at the handle at 1000 per mille"
+"""The motor's torque times the ratio; it is measured as a product, so the ratio's interval has no part in it."""
+ANGLE = ("mechanics.ratio", "role.position.scale_rad")
+TABLE = "role.brake_setpoint.table"
+"""The brake's; its reach is relative to the largest torque, and holds both branches of a hysteresis."""
+INERTIA = "mechanics.inertia_kg_m2"
+
+
+def shares(steps: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Return the relative 95 % reach of each figure of the rig file that the steps have measured.
+
+    `steps`: `Progress.steps`
+    """
+    reaches: dict[str, float] = {}
+    for step in steps.values():
+        for finding in step["findings"]:
+            old, new, reach = finding["old"], finding["new"], finding["uncertainty"]
+            name = finding["key"] or finding["name"]
+            if reach is None:
+                continue
+            if name == TABLE and new:
+                reaches[name] = reach / max(abs(torque) for _, torque in new)
+            if not isinstance(new, int | float):
+                continue
+            value = new if finding["changed"] else old
+            if isinstance(value, int | float) and value:
+                reaches[name] = (reach + abs(new - value)) / abs(value)
+    return reaches
+
+
+def rounded(value: float, reach: float) -> float:
+    """Return a value rounded to the digits that its 95 % reach justifies."""
+    if not reach > 0.0:
+        return float(f"{value:.6g}")
+    return round(value, math.ceil(-math.log10(reach)) + 1)

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from coulombus.host.commission.earlier import SCALE, rounded
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import handle_torque, mean_in, span_of, thinned
 from coulombus.host.commission.step import (
+    SCALE,
     CommissionError,
     Curve,
     Exercise,
@@ -26,12 +26,13 @@ from coulombus.host.commission.step import (
     Step,
     exercise,
     lacks_roles,
+    rounded,
 )
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.roles import Binding
 
-__all__ = ["Weight", "Zero"]
+__all__ = ["WeightStep", "ZeroStep"]
 
 OFFSET, POLARITY = "role.handle_torque.offset_Nm", "mechanics.transducer_polarity"
 ZERO_S = 4.0
@@ -52,7 +53,7 @@ def _binding(axis: Axis) -> Binding:
     return binding
 
 
-class Zero(Step):
+class ZeroStep(Step):
     """Zero and noise of the transducer."""
 
     name = "zero"
@@ -94,7 +95,7 @@ class Zero(Step):
         return Outcome(findings, curves=(curve,))
 
 
-class Weight(Step):
+class WeightStep(Step):
     """Sign and scale of the transducer."""
 
     name = "weight"

@@ -20,7 +20,7 @@ from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.device import KnownDevice, identity_of
 from coulombus.host.errors import DeviceMismatch, SdoAborted
 
-__all__ = ["Difference", "Dump", "acts", "check_file", "differences", "dump", "restore"]
+__all__ = ["Dump", "ObjectDifference", "acts", "check_file", "differences", "dump", "restore"]
 
 Place = tuple[int, int]
 Show = Callable[[int, int], None]
@@ -153,7 +153,7 @@ def check_file(device: KnownDevice, description: Description) -> dict[Place, Val
 
 
 @dataclass(frozen=True)
-class Difference:
+class ObjectDifference:
     """An object whose value in the device differs from the file; `held` None: it cannot be read."""
 
     variable: Variable
@@ -179,7 +179,7 @@ class Difference:
 
 def differences(
     device: KnownDevice, description: Description, values: Mapping[Place, Value], show: Show = lambda done, total: None
-) -> list[Difference]:
+) -> list[ObjectDifference]:
     """Return the differences of the device from `values`.
 
     Raises
@@ -199,7 +199,7 @@ def differences(
         except SdoAborted:
             held, same = None, False
         if not same:
-            rows.append(Difference(variable, held, value))
+            rows.append(ObjectDifference(variable, held, value))
     return rows
 
 
@@ -220,7 +220,7 @@ class Restored:
 def restore(
     device: KnownDevice,
     values: Mapping[Place, Value],
-    changes: Sequence[Difference],
+    changes: Sequence[ObjectDifference],
     show: Show = lambda done, total: None,
     result: Restored | None = None,
 ) -> Restored:
@@ -239,7 +239,7 @@ def restore(
         (exit status 5) the device no longer answers
     """
     result = result or Restored()
-    of_pdos: dict[int, list[Difference]] = {}
+    of_pdos: dict[int, list[ObjectDifference]] = {}
     plain = []
     for row in changes:
         pdo = _pdo_of(row.variable.index)

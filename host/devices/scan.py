@@ -23,7 +23,7 @@ from coulombus.host.sdo.transfers import SdoSilent, Transfer, upload
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusFrame, BusLink, FrameLink
 
-__all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "Answers", "scan", "survey", "trouble"]
+__all__ = ["ASKED", "IDENTITY", "TIMEOUT_S", "TOLD", "NodeAnswers", "scan", "survey", "trouble"]
 
 IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 """Numeric objects: device type, identity."""
@@ -51,7 +51,7 @@ ACKNOWLEDGE, BUS_OFF, WIRE = 0x020, 0x040, 0x188
 
 
 @dataclass(frozen=True)
-class Answers:
+class NodeAnswers:
     """Answers of one node, without the objects that it lacks.
 
     Attributes
@@ -141,7 +141,7 @@ def scan(
     listen_s: float = 0.0,
     timeout_s: float = TIMEOUT_S,
     progress: Callable[[str, float, float], None] = _nothing,
-) -> tuple[Answers, ...]:
+) -> tuple[NodeAnswers, ...]:
     """Return the answers of each node on a bus, ordered by node id.
 
     Parameters
@@ -153,7 +153,7 @@ def scan(
     """
     heard, begin_ns = _Heard(), link.now_ns()
     for node_id in NODES:
-        heard.answers.of(node_id).ask(head(0x40, 0x1000, 0))
+        heard.answers.node(node_id).ask(head(0x40, 0x1000, 0))
         link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
@@ -171,7 +171,7 @@ def scan(
             current[node_id] = place
             yield upload(*place, most=MOST_TEXT, block=False)
 
-    def tell(node_id: int, value: bytes | HostError) -> None:
+    def record(node_id: int, value: bytes | HostError) -> None:
         if isinstance(value, bytes):
             values[node_id][current[node_id]] = value
             silent[node_id] = 0
@@ -180,13 +180,15 @@ def scan(
                 doubts.setdefault(node_id, str(value))
             silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    run_transfers(link, {node_id: transfers(node_id) for node_id in values}, timeout_s, tell, heard.answers, heard.hear)
+    run_transfers(
+        link, {node_id: transfers(node_id) for node_id in values}, timeout_s, record, heard.answers, heard.hear
+    )
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))
     twice = heard.answers.duplicate_node_ids
     return tuple(
-        Answers(
+        NodeAnswers(
             node_id,
             {p: int.from_bytes(raw, "little") for p, raw in contents.items() if p in numbers and 0 < len(raw) <= 4},
             {p: text for p, raw in contents.items() if p in TOLD and (text := _text(raw))},
@@ -206,7 +208,7 @@ def _text(raw: bytes) -> str:
     return "".join(letter for letter in text if letter.isprintable()).strip()[:60]
 
 
-def survey(address: BusAddress, drive_axis: int = 1) -> tuple[Answers, ...]:
+def survey(address: BusAddress, drive_axis: int = 1) -> tuple[NodeAnswers, ...]:
     """Return the answers of all nodes that answer SDO, with the objects for a rig file.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Checks of the CAN interface: driver, settings, and error counters."""
+"""Checks of the CAN interface: driver, settings, error counters, and the power saving of its USB port."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from coulombus.host.doctor.finding import Check, Outcome
+from coulombus.host.doctor.checks import Absent, CannotRead, Check, Machine, Outcome, nonsense
 from coulombus.host.doctor.linux_kernel import preempt_rt
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
 from coulombus.system.quoting import comment, extended_regex, shell
 
-__all__ = ["Interface", "checks"]
+__all__ = ["CanInterface", "checks", "usb"]
 
 ARPHRD_CAN = 280
 SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
@@ -36,7 +35,7 @@ SAMPLE_POINT, BEST_SAMPLE_POINT = (0.85, 0.90), 0.875
 
 
 @dataclass(frozen=True)
-class Interface:
+class CanInterface:
     """An interface, its required bit rate, and the output of ``ip -details -json link`` for it."""
 
     machine: Machine
@@ -108,7 +107,7 @@ class Interface:
 
 def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> list[Check]:
     """Return the checks of the interface `name`, with its required bit rate (None: any)."""
-    can = Interface(machine, name, bitrate_bit_s)
+    can = CanInterface(machine, name, bitrate_bit_s)
     if not machine.path(f"/sys/class/net/{name}").exists():
         return [("can.interface", partial(_missing, can))]
     if not _is_can(machine, name):  # the other checks apply to CAN interfaces only
@@ -129,7 +128,7 @@ def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> lis
     return entries + [(f"can.{check.__name__}", partial(_of_controller, can, check)) for check in of_controller]
 
 
-def _of_controller(can: Interface, check: Callable[[Interface], Outcome]) -> Outcome:
+def _of_controller(can: CanInterface, check: Callable[[CanInterface], Outcome]) -> Outcome:
     if can.virtual:
         return Outcome(True, f"{can.name} has no controller: it is {can.data('linkinfo', 'info_kind')}")
     return check(can)
@@ -142,7 +141,7 @@ def _is_can(machine: Machine, name: str) -> bool:
         return False
 
 
-def _missing(can: Interface) -> Outcome:
+def _missing(can: CanInterface) -> Outcome:
     interfaces = [name for name in can.machine.names("/sys/class/net") if _is_can(can.machine, name)]
     others = f"CAN interfaces here: {', '.join(interfaces)}" if interfaces else "no CAN interface is here"
     fix = (
@@ -153,7 +152,7 @@ def _missing(can: Interface) -> Outcome:
     return Outcome(False, f"there is no interface {can.name}; {others}", fix)
 
 
-def interface(can: Interface) -> Outcome:
+def interface(can: CanInterface) -> Outcome:
     """Check that the interface is a CAN interface."""
     kind = can.machine.number(f"/sys/class/net/{can.name}/type")
     if kind == ARPHRD_CAN:
@@ -163,7 +162,7 @@ def interface(can: Interface) -> Outcome:
     )
 
 
-def driver(can: Interface) -> Outcome:
+def driver(can: CanInterface) -> Outcome:
     """Check the driver: slcan is a serial line, too slow for a cycle of a millisecond."""
     target = can.machine.path(f"/sys/class/net/{can.name}/device/driver")
     name = os.path.basename(os.path.realpath(target)) if target.exists() else ""
@@ -178,7 +177,7 @@ def driver(can: Interface) -> Outcome:
     return Outcome(True, name)
 
 
-def up(can: Interface) -> Outcome:
+def up(can: CanInterface) -> Outcome:
     """Check that the interface is up."""
     flags = can.machine.text(f"/sys/class/net/{can.name}/flags")
     try:
@@ -191,7 +190,7 @@ def up(can: Interface) -> Outcome:
     return Outcome(False, "down", fix)
 
 
-def txqueuelen(can: Interface) -> Outcome:
+def txqueuelen(can: CanInterface) -> Outcome:
     """Check the length of the transmit queue: a short queue loses frames, a long queue keeps old set-points."""
     length = can.machine.number(f"/sys/class/net/{can.name}/tx_queue_len")
     fix = f"sudo ip link set {shell(can.name)} txqueuelen 64"
@@ -204,7 +203,7 @@ def txqueuelen(can: Interface) -> Outcome:
     return Outcome(True, f"{length} frames")
 
 
-def irq_thread(can: Interface) -> Outcome:
+def irq_thread(can: CanInterface) -> Outcome:
     """Check the priority of the card's interrupt thread.
 
     A PREEMPT_RT kernel empties the card's receive buffer in a thread, by default with priority 50. Below the
@@ -233,7 +232,7 @@ def irq_thread(can: Interface) -> Outcome:
     return Outcome(False, f"{text}; the host polls at {PRIORITY}, and the receive buffer overflows meanwhile", fix)
 
 
-def _interrupts(can: Interface) -> set[str]:
+def _interrupts(can: CanInterface) -> set[str]:
     """Return the numbers of the interrupts with the interface's name, or of its device; for a USB card, of
     the USB controller.
     """
@@ -265,7 +264,7 @@ def _priority(machine: Machine, pid: str) -> int:
         raise nonsense(f"/proc/{pid}/stat", text, "the numbers of a thread") from None
 
 
-def state(can: Interface) -> Outcome:
+def state(can: CanInterface) -> Outcome:
     """Check that the controller is error-active."""
     name = str(can.info("state"))
     if name == "ERROR-ACTIVE":
@@ -279,7 +278,7 @@ def state(can: Interface) -> Outcome:
     )
 
 
-def mode(can: Interface) -> Outcome:
+def mode(can: CanInterface) -> Outcome:
     """Check that no mode suppresses frames or their retransmission."""
     bad = sorted(can.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
     if not bad:
@@ -290,7 +289,7 @@ def mode(can: Interface) -> Outcome:
     return Outcome(False, f"{', '.join(bad)} is on", fix)
 
 
-def bitrate(can: Interface) -> Outcome:
+def bitrate(can: CanInterface) -> Outcome:
     """Check that the bit rate is that of the rig file."""
     rate = can.number("linkinfo", "info_data", "bittiming", "bitrate")
     if can.bitrate_bit_s is None:
@@ -300,7 +299,7 @@ def bitrate(can: Interface) -> Outcome:
     return Outcome(False, f"{rate / 1000:g} kbit/s; the rig file says {can.bitrate_bit_s / 1000:g}", can.setup)
 
 
-def sample_point(can: Interface) -> Outcome:
+def sample_point(can: CanInterface) -> Outcome:
     """Check the sample point: 87.5 % (CiA 301, bit timing)."""
     rate = round(can.number("linkinfo", "info_data", "bittiming", "bitrate"))
     point = can.number("linkinfo", "info_data", "bittiming", "sample_point")
@@ -309,7 +308,7 @@ def sample_point(can: Interface) -> Outcome:
     return Outcome(low - 5e-4 <= point <= high + 5e-4, text, can.setup)
 
 
-def restart_ms(can: Interface) -> Outcome:
+def restart_ms(can: CanInterface) -> Outcome:
     """Check that the interface restarts after a bus-off; the host has tripped, and stays tripped."""
     after = can.number("linkinfo", "info_data", "restart_ms")
     if after > 0:
@@ -317,7 +316,7 @@ def restart_ms(can: Interface) -> Outcome:
     return Outcome(False, "0: after a bus-off the interface stays off", can.setup)
 
 
-def berr_reporting(can: Interface) -> Outcome:
+def berr_reporting(can: CanInterface) -> Outcome:
     """Check that each bus error is reported as an error frame, so that it is counted and recorded."""
     if "BERR-REPORTING" in can.modes:
         return Outcome(True, "on")
@@ -327,7 +326,7 @@ def berr_reporting(can: Interface) -> Outcome:
     return Outcome(False, "off: errors on the bus are not seen one by one", can.setup)
 
 
-def error_counters(can: Interface) -> Outcome:
+def error_counters(can: CanInterface) -> Outcome:
     """Check that the controller has counted no errors since its set-up."""
     tx, rx = (can.number("linkinfo", "info_data", "berr_counter", counter) for counter in ("tx", "rx"))
     try:
@@ -340,10 +339,33 @@ def error_counters(can: Interface) -> Outcome:
     return Outcome(ok, text, "# cable, termination, bit rate of each device; then, to zero the counters:\n" + can.setup)
 
 
-def timestamps(can: Interface) -> Outcome:
+def timestamps(can: CanInterface) -> Outcome:
     """Report the source of the time stamps: a card with its own stamps gives the time on the wire; else the
     kernel's stamps are used.
     """
     if can.machine.stamps(can.name):
         return Outcome(True, "in hardware")
     return Outcome(True, "by the kernel, when the frame is handed over: some tens of microseconds late")
+
+
+def usb(machine: Machine, interface: str) -> Outcome:
+    """Check that the USB port stays awake: with power saving it sleeps on a quiet bus, and wakes milliseconds
+    late.
+    """
+    device = machine.path(f"/sys/class/net/{interface}/device")
+    if not device.exists():
+        return Outcome(True, f"{interface} is on no port")
+    real, root = Path(os.path.realpath(device)), Path(os.path.realpath(machine.root))
+    port = next((place for place in (real, *real.parents) if re.fullmatch(r"\d+-\d+(\.\d+)*", place.name)), None)
+    if port is None:
+        return Outcome(True, f"{interface} is not on USB")
+    try:
+        name = f"/{port.relative_to(root)}/power/control"
+    except ValueError:
+        raise CannotRead(f"{interface} is at {port}, outside of {root}") from None
+    control = machine.text(name)
+    if control == "on":
+        return Outcome(True, f"USB port {port.name} stays awake")
+    if control != "auto":
+        raise nonsense(name, control, "on or auto")
+    return Outcome(False, f"USB port {port.name} may sleep", f"echo on | sudo tee {name}")

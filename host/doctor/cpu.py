@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from functools import partial
 
-from coulombus.host.doctor.finding import Check, Outcome
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine
+from coulombus.host.doctor.checks import Absent, CannotRead, Check, Machine, Outcome
+from coulombus.host.doctor.rights import DMA_FIX, dma_writable
 
 __all__ = ["checks", "cycle_cpu", "others_mask"]
 
@@ -132,8 +132,6 @@ def governor(machine: Machine, cpu_option: int | None = None) -> Outcome:
 
 def c_states(machine: Machine) -> Outcome:
     """Check that the host can prevent deep idle states, by /dev/cpu_dma_latency."""
-    from coulombus.host.doctor.rights import DMA_FIX, dma_writable
-
     deepest, which = 0, ""
     for state in machine.names(f"{CPUS}/cpu0/cpuidle"):
         folder = f"{CPUS}/cpu0/cpuidle/{state}"

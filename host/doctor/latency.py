@@ -18,8 +18,8 @@ from pathlib import Path
 from shutil import which
 from typing import Any
 
-from coulombus.host.doctor.finding import Finding, Outcome
-from coulombus.host.doctor.wanted import RigDemands
+from coulombus.host.doctor.checks import CheckResult, Outcome
+from coulombus.host.doctor.examination import RigDemands
 from coulombus.system.errors import CoulombusError
 from coulombus.system.realtime import die_with_parent
 
@@ -255,7 +255,7 @@ def measure_latency(
     return Latency(wakeups, None if reason else beside, reason, refused, loads)
 
 
-def judge(latency: Latency, demands: RigDemands) -> Finding:
+def judge(latency: Latency, demands: RigDemands) -> CheckResult:
     """Return whether the machine meets a rig's limits, with the reasons if not.
 
     A wake-up trips if its delay plus a period exceeds a watchdog's time. A wake-up that leaves no room for
@@ -294,7 +294,7 @@ def judge(latency: Latency, demands: RigDemands) -> Finding:
         "lost_share": lost,
         "fit": outcome.ok,
     }
-    return Finding("latency", outcome.ok, outcome.found, outcome.fix, figures)
+    return CheckResult("latency", outcome.ok, outcome.found, outcome.fix, figures)
 
 
 def bars(latency: Latency) -> list[tuple[str, int, str, int | None, str]]:

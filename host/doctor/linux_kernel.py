@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from coulombus.host.doctor.finding import Check, Outcome
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
+from coulombus.host.doctor.checks import Absent, CannotRead, Check, Machine, Outcome, nonsense
 
 __all__ = ["checks"]
 

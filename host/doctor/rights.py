@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from functools import partial
 
-from coulombus.host.doctor.finding import Check, Outcome
-from coulombus.host.doctor.machine import CannotRead, Machine, nonsense
+from coulombus.host.doctor.checks import CannotRead, Check, Machine, Outcome, nonsense
 
 __all__ = ["DMA_FIX", "checks", "dma_writable"]
 

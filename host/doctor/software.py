@@ -11,7 +11,7 @@ from functools import partial
 from importlib import metadata
 from pathlib import Path
 
-from coulombus.host.doctor.finding import Check, Outcome
+from coulombus.host.doctor.checks import Check, Outcome
 
 __all__ = ["NAME", "checks", "compiled", "requirement_met"]
 

@@ -21,13 +21,13 @@ from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.recording.wall_clock import utc
 from coulombus.system.exit import say
 
-__all__ = ["Answers", "Progress", "axis_state", "plane_state", "with_states"]
+__all__ = ["ClientAnswers", "Progress", "axis_state", "plane_state", "with_states"]
 
 Progress: TypeAlias = Callable[[float, list[dict[str, Any]]], None]
 """Callback with the display's time in s and the state of each axis (`axis_state`)."""
 
 
-class Answers:
+class ClientAnswers:
     """Answers for a run on the bus named `buses`, or on several.
 
     Raises
@@ -39,30 +39,30 @@ class Answers:
     def __init__(self, run: Course, plane: DataPlane, changes: Changes, buses: str, outputs: Outputs) -> None:
         self._run, self._plane, self._changes = run, plane, changes
         self._buses, self._meta = buses, dict(outputs.meta)
-        self._teller = None if outputs.status is None else StatusSocket(outputs.status, self.status)
+        self._status_socket = None if outputs.status is None else StatusSocket(outputs.status, self.status)
 
     def status(self) -> dict[str, Any]:
         """Return the run's state for other programs, as plain values in SI units at the handle.
 
         The data plane writes meanwhile, so the values may come from two cycles.
         """
-        run, rig = self._run, self._run.k.rig
+        run, rig = self._run, self._run.controllers.rig
         enabled = run.enabled_ns
         return {
             "rig": rig.name,
             "bus": self._buses,
-            "mode": run.k.mode,
+            "mode": run.controllers.mode,
             "utc": utc(time.time_ns()),
             "display_s": None if enabled is None else (run.now_ns - enabled) * 1e-9,
             "trip": run.trip,
-            "tripped": wall_time(run.k.trip_ns),
+            "tripped": wall_time(run.controllers.trip_ns),
             **plane_state(self._plane, rig.bus.period_ns),
             "recording": None if run.path is None else str(run.path),
             "meta": self._meta,
             "arm_key": bool(self._changes.arm_key),
             "axes": [
                 {**axis_state(controller), "parameters": rows}
-                for controller, rows in zip(run.k, self._changes.rows(), strict=True)
+                for controller, rows in zip(run.controllers, self._changes.rows(), strict=True)
             ],
         }
 
@@ -73,12 +73,12 @@ class Answers:
         except Exception as error:
             return encoded({"error": f"{type(error).__name__}: {error}"})
 
-    def tell(self, now_ns: int) -> None:
+    def serve_status(self, now_ns: int) -> None:
         """Send the status to the readers of the status socket when due; an error closes that socket only."""
-        if self._teller is None:
+        if self._status_socket is None:
             return
         try:
-            self._teller.serve(now_ns)
+            self._status_socket.serve(now_ns)
         except Exception as error:
             self.close()
             say(f"coulombus: the status socket is closed: {type(error).__name__}: {error}")
@@ -104,9 +104,9 @@ class Answers:
 
     def close(self) -> None:
         """Close the status socket."""
-        if self._teller is not None:
-            self._teller.close()
-            self._teller = None
+        if self._status_socket is not None:
+            self._status_socket.close()
+            self._status_socket = None
 
 
 def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:

@@ -149,17 +149,17 @@ class _Client:
         except OSError:
             return None
         if message == STATUS:
-            self.tell(door.status())
+            self.send(door.status())
         for verb, answer in ((MARK, door.mark), (SET, door.change)):
             if message.startswith(verb):
-                self.tell(answer(message[len(verb) :].decode(errors="replace")))
+                self.send(answer(message[len(verb) :].decode(errors="replace")))
         if message != STOP:
             return None
         self.accepted = True
-        self.tell(ACCEPTED)
+        self.send(ACCEPTED)
         return True
 
-    def tell(self, message: bytes) -> None:
+    def send(self, message: bytes) -> None:
         with suppress(OSError):  # the client has disconnected; its request holds
             self.connection.send(message)
 
@@ -258,7 +258,7 @@ class HostSocket:
         self._listeners = []
         for asker in self._askers:
             if result is not None and asker.accepted:
-                asker.tell(json.dumps(result).encode())
+                asker.send(json.dumps(result).encode())
             asker.connection.close()
         self._askers.clear()
 

@@ -8,7 +8,6 @@ The ten newest reports stay.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -18,6 +17,7 @@ from typing import Any
 
 from coulombus.host.run.control_socket import address_of, control_path
 from coulombus.recording.wall_clock import utc
+from coulombus.system.unfinished_file import write_whole
 from coulombus.wire.address import HOST_SUFFIX, BusAddress
 
 __all__ = ["ending", "forget_word", "keep_page", "last_page", "last_word", "leave_word", "newest_word", "wall_time"]
@@ -59,18 +59,8 @@ def leave_word(
     for address in addresses:
         with suppress(Exception):  # an error here must not change the run's result
             path, file = _path(address), None if recording is None else str(recording.absolute())
-            _write(path, json.dumps({**outcome, "recording": file, "ended": utc(time.time_ns())}).encode())
+            write_whole(path, json.dumps({**outcome, "recording": file, "ended": utc(time.time_ns())}).encode())
             _remove_old(path.parent)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file that readers see whole or not at all."""
-    new = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        new.write_bytes(content)
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)
 
 
 def keep_page(address: BusAddress, content: bytes) -> None:
@@ -81,7 +71,7 @@ def keep_page(address: BusAddress, content: bytes) -> None:
     OSError
         the file cannot be written
     """
-    _write(_path(address).with_suffix(PAGE_SUFFIX), content)
+    write_whole(_path(address).with_suffix(PAGE_SUFFIX), content)
 
 
 def last_page(address: BusAddress) -> bytes | None:

@@ -4,11 +4,15 @@ At each speed :math:`v` the law is evaluated with the cycle's period from its re
 `FAR_RAD`, for at least `LEAST_S` and at most `MOST_S`. The curve is the mean of the last tenth. A law has
 no curve if its torque varies in that tenth, or differs far away: then it depends on the position, and not
 on the speed alone.
+
+A law in the plane has a ring: its force at a steady speed, over the directions of motion.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -18,17 +22,25 @@ from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.parameter_changes import parameters_of
 from coulombus.host.cycle.records import Slot
 from coulombus.host.laws.along import drive
+from coulombus.host.laws.plane.plane_laws import PlaneLaw
+from coulombus.host.plane.plane_host import load_plane
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
 
-__all__ = ["SPEEDS", "Line", "law_curve"]
+__all__ = ["DIRECTIONS", "SPEEDS", "Line", "law_curve", "law_ring"]
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(5e-4, 1.0, 18))
 """The speeds of the curve, as shares of `limits.speed_rad_s`."""
 FAR_RAD, AWAY_RAD = 0.3, 1000.0
 LEAST_S, MOST_S = 1.0, 15.0
 SAME = 0.02
-"""Largest variation of a law with a curve at a steady speed, as a share of its largest torque."""
+"""Largest variation of a law with a curve or a ring, as a share of its largest torque or force."""
 FIELDS = {Slot.K_P: "K_p", Slot.F_S: "F_s", Slot.F_D: "F_d"}
+DIRECTIONS = 72
+SPEED_M_S, FASTER_M_S = 0.05, 0.2
+SECONDS, STEP_S = 0.4, 2e-3
+AWAY_M = (0.37, -0.23)
+"""Another place of the plane: a law that differs there depends on the position."""
 
 Line: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Ascending velocities [rad/s], and the friction at each [Nm]."""
@@ -80,3 +92,51 @@ def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
     ):
         return None
     return tuple(speeds), tuple(means)
+
+
+def law_ring(rig: Rig, mode: str, live: Mapping[str, float]) -> Line | None:
+    """Return the force on the hand at steady motion in `DIRECTIONS` directions, x and y [N].
+
+    None for a law whose force depends on the speed or the position, and for a rig of independent axes.
+
+    Parameters
+    ----------
+    live : values of live parameters by name; others have the rig file's values
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError
+        the law cannot be loaded, or returned a number that is not finite
+    """
+    model = load_plane(rig, mode)
+    if model is None:
+        return None
+    law = _changed(model.law, live)
+    angles = 2 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    slow = np.array([_steady(law, angle, SPEED_M_S) for angle in angles])
+    negligible_N = SAME * float(np.abs(slow).max())
+    for k in range(0, DIRECTIONS, DIRECTIONS // 8):
+        faster = _steady(law, angles[k], FASTER_M_S)
+        away = _steady(law, angles[k], SPEED_M_S, AWAY_M)
+        if max(np.abs(faster - slow[k]).max(), np.abs(away - slow[k]).max()) > negligible_N:
+            return None
+    x, y = (-slow).T.tolist()
+    return tuple(x), tuple(y)
+
+
+def _changed(law: PlaneLaw, live: Mapping[str, float]) -> PlaneLaw:
+    """Return the law with the present values of its live parameters."""
+    if law.parameters is None:
+        return law
+    update = {name: value for name, value in live.items() if name in type(law.parameters).model_fields}
+    return replace(law, parameters=law.parameters.model_copy(update=update))
+
+
+def _steady(
+    law: PlaneLaw, angle: float, speed_m_s: float, from_m: tuple[float, float] = (0.0, 0.0)
+) -> npt.NDArray[np.float64]:
+    """Return the friction at the end of a steady motion [N], positive against it."""
+    t_s = np.arange(round(SECONDS / STEP_S) + 1) * STEP_S
+    way = np.outer(speed_m_s * t_s, (math.cos(angle), math.sin(angle)))
+    force: npt.NDArray[np.float64] = law.along(t_s, np.array(from_m) + way)[-1]
+    return force

@@ -131,7 +131,7 @@ class StruckKeys:
         """Store whether one of these strokes stops the run; strokes before the run set no markers."""
         self.stop |= any(key in strokes for key in STOP_KEYS)
 
-    def take(self) -> Iterator[tuple[int, str]]:
+    def read_markers(self) -> Iterator[tuple[int, str]]:
         """Yield the time [ns] and the marker of each stroke that was not taken yet."""
         while self._struck:
             yield self._struck.popleft()

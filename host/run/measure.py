@@ -31,14 +31,14 @@ from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import BusFull, Client, pack_frame
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Measured", "Spread", "measure_rig", "proposed_ns", "quiet_mode"]
+__all__ = ["Measured", "TimeQuantiles", "measure_rig", "proposed_ns", "quiet_mode"]
 
 MARGIN, LEAST_MARGIN_NS, STEP_NS = 10, 5_000, 10_000
 FULL_S = 1.0
 
 
 @dataclass(frozen=True)
-class Spread:
+class TimeQuantiles:
     """Number of times, and their median, 99th percentile and maximum [us]."""
 
     count: int
@@ -47,7 +47,7 @@ class Spread:
     max: float
 
     @classmethod
-    def of(cls, times_ns: Collection[int]) -> Spread:
+    def from_times(cls, times_ns: Collection[int]) -> TimeQuantiles:
         """Return the spread of at least one time."""
         p50, p99, longest = np.percentile(np.array(list(times_ns)) / 1e3, (50, 99, 100), method="higher")
         return cls(len(times_ns), float(p50), float(p99), float(longest))
@@ -70,7 +70,7 @@ class Measured:
     """
 
     devices: tuple[DeviceTimes, ...]
-    host: Spread
+    host: TimeQuantiles
     real_time: tuple[dict[str, Any], ...]
 
     def response_us(self, device: DeviceTimes) -> float | None:
@@ -199,7 +199,7 @@ def measure_rig(
         times, rights = measure_compute(rig, _loudest(rig), cycles, cpu=cpu, progress=lambda done: report("host", done))
         if not times:
             raise SafetyTrip("the host's cycle gave no figure: its process did not cycle; see its messages above")
-    return Measured(devices, Spread.of(times), tuple(rights))
+    return Measured(devices, TimeQuantiles.from_times(times), tuple(rights))
 
 
 def _loudest(rig: Rig) -> str:

@@ -20,12 +20,10 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import PlaneStatus
-from coulombus.host.run.arm_key import new_arm_key
-from coulombus.host.run.changes import Changes
-from coulombus.host.run.client_requests import Answers, Progress, with_states
+from coulombus.host.run.changes import Changes, new_arm_key
+from coulombus.host.run.client_requests import ClientAnswers, Progress, with_states
 from coulombus.host.run.control_socket import HostSocket
-from coulombus.host.run.deadman import Switch, deadman_of
-from coulombus.host.run.deadman_external import switch_of
+from coulombus.host.run.deadman import Switch, deadman_of, switch_of
 from coulombus.host.run.last_word import forget_word, leave_word, wall_time
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.run.preflight import place_of, refusing
@@ -89,20 +87,21 @@ class RealCourse(Course):
             self._stack.callback(lambda: self.door.close(self._outcome))
             forget_word(addresses)
             self._stack.callback(lambda: leave_word(addresses, self._outcome, self.path))
-            self.plane = DataPlane(self.k, *addresses, cpu=cpu)
+            self.plane = DataPlane(controllers, *addresses, cpu=cpu)
             self._stack.callback(self.plane.close)
-            parameters = LiveParameters(self.k)  # the controllers are in shared memory by now
+            parameters = LiveParameters(controllers)  # the controllers are in shared memory by now
             self.changes = Changes(parameters, new_arm_key(self.address), self._apply, self._why_no_change)
-            self.world = WorldDisplay(self.k, self.plane, parameters, self.changes, self.address if run.world else None)
+            outside = self.address if run.world else None
+            self.world = WorldDisplay(controllers, self.plane, parameters, self.changes, outside)
             self._stack.callback(self.world.close)
-            self.answers = Answers(self, self.plane, self.changes, self.buses, outputs)
+            self.answers = ClientAnswers(self, self.plane, self.changes, self.buses, outputs)
             self._stack.callback(self.answers.close)
             self.door.status, self.door.mark = self.answers.state, self.answers.mark
             self.door.change = self.answers.change
             self.control = RealControlPlane(rig, *addresses)
             self._stack.callback(self.control.close)
             self._bits = BitMarks(outputs.mark_on, rig)
-            self.recorder = begin_recording(run, self.k, self.zero_ns)
+            self.recorder = begin_recording(run, controllers, self.zero_ns)
             if isinstance(self.recorder, SegmentedRecorder):
                 self.path = self.recorder.run
             self.plane.tell_recording(self.path, self.zero_ns)
@@ -122,7 +121,7 @@ class RealCourse(Course):
             return "the host is not in its cycle yet: it is starting, or it has stopped"
         if self.world.controlled:
             return "a program outside has control (coulombus run --world): its models set the parameters"
-        return "the host ends: it is in its safe state" if self.k.ending else None
+        return "the host ends: it is in its safe state" if self.controllers.ending else None
 
     def _apply(self, change: Change) -> None:
         """Publish a change, which the step takes in the next cycle; set its marker."""
@@ -179,17 +178,17 @@ class RealCourse(Course):
         elif self.address.moves_hardware:
             say("coulombus: no dead man's switch: host.deadman is none")
         self._touched = True
-        losses = bring_up(self.k, self.control)
+        losses = bring_up(self.controllers, self.control)
         for text in losses:
             say(f"coulombus: {text}")
         now = time.monotonic_ns()
-        self.mark(now, f"run {self.k.mode}")
+        self.mark(now, f"run {self.controllers.mode}")
         self.mark(now, f"deadman {self.deadman}")
         return losses
 
     def _await_hand(self, switch: Switch) -> None:
         """Wait until the dead man's switch is held; for a switch that is not an object of a device."""
-        self.k.control["deadman_key"] = 1
+        self.controllers.control["deadman_key"] = 1
         self._stack.enter_context(switch)
         say(f"coulombus: {switch.invitation}")
         deadline = time.monotonic() + HAND_TIMEOUT_S
@@ -224,14 +223,14 @@ class RealCourse(Course):
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (PlaneStatus.LOST, PlaneStatus.ENDED):
             raise BusUnavailable(f"bus {self.buses}: lost before anything was armed: {self.plane.lost_text}")
-        period = int(self.k.control["period_ns"][0])
+        period = int(self.controllers.control["period_ns"][0])
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
 
     def display(self, seconds: float | None) -> None:
         """Tell the service manager that the host is ready, and display."""
-        self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.k.mode}")
+        self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.controllers.mode}")
         super().display(seconds)
 
     def _fail(self, error: Exception) -> None:
@@ -265,8 +264,8 @@ class RealCourse(Course):
             try:
                 self.plane.stop()
                 self._attempt(self.door.stop_wanted, OSError)  # a page shows the trip while the brake is ramped off
-                deadline = deadline or self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
-                over = self.plane.status is PlaneStatus.LOST or self.k.done or self.now_ns >= deadline
+                deadline = deadline or self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.controllers.ending_s)
+                over = self.plane.status is PlaneStatus.LOST or self.controllers.done or self.now_ns >= deadline
                 if over or not self._supervise():
                     break
             except Exception as error:
@@ -275,12 +274,12 @@ class RealCourse(Course):
         for last in (self._supervise, self._never_cycled, self.mark_end):
             self._attempt(last)
 
-    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+    def advance(self, until_ns: int, done: Callable[[], bool]) -> bool:
         """Advance the run by one supervision step.
 
         Return False if the run must end: after a signal, a stop request, a key, or a trip.
         """
-        if not self._supervise() or self.k.ending or self.plane.status is PlaneStatus.LOST:
+        if not self._supervise() or self.controllers.ending or self.plane.status is PlaneStatus.LOST:
             return False
         if self.signals.number:
             self.stopped_by = signal.Signals(self.signals.number).name
@@ -306,7 +305,7 @@ class RealCourse(Course):
             self._seen = cycles, now
             self.notifier.alive(cycles)
         self.mark_course(self.now_ns + 1)
-        for t_ns, text in self._keys.take():
+        for t_ns, text in self._keys.read_markers():
             self.mark(t_ns, text)
             say(f"coulombus: {text}" if self.recorder is not None else f"coulombus: {text}: nothing is recorded")
         enabled = self.enabled_ns
@@ -314,7 +313,7 @@ class RealCourse(Course):
             with suppress(OSError):  # the terminal was closed
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
         self.drain(seen_ns)
-        self.answers.tell(seen_ns)
+        self.answers.serve_status(seen_ns)
         with suppress(BusUnavailable):  # the data plane notices
             self.control.wait_ns(0)  # unread heartbeats would fill the socket's queue
         stuck = now - self._seen[1] > STUCK_S
@@ -325,7 +324,7 @@ class RealCourse(Course):
 
     def _plane_gone(self) -> None:
         """Set `Trip.DATA_PLANE`: the nodes' own watchdogs make the rig safe."""
-        h = self.k.host
+        h = self.controllers.host
         running = h["phase"] < Phase.SAFE
         h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
         h["phase"] = Phase.DONE
@@ -333,7 +332,7 @@ class RealCourse(Course):
 
     def _never_cycled(self) -> None:
         """Set `Trip.BUS_LOST` if the bus was lost after the last check and before the first cycle."""
-        h = self.k.host
+        h = self.controllers.host
         running = h["phase"] < Phase.SAFE
         if self.plane.status is PlaneStatus.LOST and running.any():
             h["trip"][running], h["trip_ns"][running] = Trip.BUS_LOST, time.monotonic_ns()
@@ -345,11 +344,11 @@ class RealCourse(Course):
         An error in one of these steps does not prevent the others.
         """
         cycling = self.plane.status is PlaneStatus.CYCLING and self.plane.alive
-        if cycling and not self.k.done:  # ramps a brake off that only the host can ramp, before NMT ends the PDOs
+        if cycling and not self.controllers.done:  # a brake that only the host can ramp off, before NMT ends the PDOs
             self.plane.end_cycle()
             self._attempt(self.plane.await_end)
         if cycling:  # before the cycle ends: a node that misses SYNC or the heartbeat would report a fault
-            self._attempt(lambda: release(self.k, self.control), BusUnavailable)  # the bus may be gone
+            self._attempt(lambda: release(self.controllers, self.control), BusUnavailable)  # the bus may be gone
             self.plane.end_cycle()
         if self._touched:
             self._attempt(lambda: shut_down(self.control), BusUnavailable)
@@ -371,7 +370,7 @@ class RealCourse(Course):
     @property
     def trip(self) -> str | None:
         """Text of the trip, with details from this process and the bus, or None."""
-        trip, first = super().trip, self.k.tripped
+        trip, first = super().trip, self.controllers.tripped
         if self.failure is not None:
             return trip
         number = Trip.NONE if first is None else first.host["trip"][0]
@@ -386,7 +385,7 @@ class RealCourse(Course):
 
     def _lost_share(self) -> float:
         cycles = self.plane.cycles
-        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"].max())
+        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.controllers.host["lost_pdos"].max())
         return lost / cycles if cycles else 0.0
 
     def _exit_status(self) -> int:
@@ -402,10 +401,10 @@ class RealCourse(Course):
             return super().figures()
         except Exception as error:
             self._fail(error)
-        return Figures([Measures() for _ in self.k], None)
+        return Figures([Measures() for _ in self.controllers], None)
 
     def _result(self) -> RunResult:
-        k, plane, figures = self.k, self.plane, self.figures()
+        k, plane, figures = self.controllers, self.plane, self.figures()
         wakeup, latency, skew = plane.wakeup(), plane.latency(), plane.skew()
         counters = k.counters() | plane.counters()
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()

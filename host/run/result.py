@@ -13,11 +13,11 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.run.schedule import display_remarks, full_gain_s
 from coulombus.recording.measures import Measures
 
-__all__ = ["Doubts", "RunResult", "Timing", "file_sha256"]
+__all__ = ["Doubts", "RunResult", "RunTiming", "file_sha256"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timing:
+class RunTiming:
     """Timing of a run. None: virtual time has no such figure."""
 
     period_ns: int
@@ -62,7 +62,7 @@ class Doubts:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class RunResult(Doubts, Timing, Measures):
+class RunResult(Doubts, RunTiming, Measures):
     """Result of a run: the display's figures, timing, `Doubts`, and the recording.
 
     Figures of the display are None without a recording, or without their phase of the schedule.
@@ -104,7 +104,7 @@ class RunResult(Doubts, Timing, Measures):
         return f"<run in mode {self.mode}: {f'trip {self.trip}' if self.trip else 'no trip'}{''.join(lines)}>"
 
     @classmethod
-    def of(
+    def from_controllers(
         cls,
         host: Controllers,
         figures: Sequence[Measures],

@@ -77,11 +77,11 @@ class Outputs:
         return replace(self, record=record, truth=truth)
 
 
-class _Data(BaseModel):
+class _RunModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class NamedText(_Data):
+class NamedText(_RunModel):
     """The text of a fault file or a script; errors call it `name`."""
 
     name: str
@@ -93,7 +93,7 @@ class NamedText(_Data):
         return cls(name=str(path), text=read_text(path, kind, error))
 
 
-class Code(_Data):
+class Code(_RunModel):
     """A user's function in a run. A recording has its name and the SHA-256 of its file, never itself."""
 
     code: str
@@ -102,7 +102,7 @@ class Code(_Data):
     function: Any = Field(default=None, exclude=True)
 
     @classmethod
-    def of(cls, function: Callable[..., Any], name: str, call: str) -> Code:
+    def from_function(cls, function: Callable[..., Any], name: str, call: str) -> Code:
         """Return the code of the argument `name`; `call` is a correct call, for the message.
 
         Raises
@@ -180,13 +180,13 @@ class Run:
 
     def attachments(self, recorded: Rig) -> dict[str, bytes]:
         """Return the run as the attachment of a recording to which the rig `recorded` is attached."""
-        document = _Document(
+        document = _RunDocument(
             virtual=self.virtual,
             mode=self.mode,
             seconds=None if self.seconds is None else float(self.seconds),
             seed=int(self.seed) if self.virtual else None,
-            rig=None if recorded is self.rig else _RigTexts.of(self.rig),
-            simulated=None if self.simulated is None else _RigTexts.of(self.simulated),
+            rig=None if recorded is self.rig else _RigTexts.from_rig(self.rig),
+            simulated=None if self.simulated is None else _RigTexts.from_rig(self.simulated),
             faults=_without_folder(self.faults),
             script=_without_folder(self.script),
             world=self.world,
@@ -200,19 +200,19 @@ def _without_folder(text: Any) -> Any:
     return NamedText(name=Path(text.name).name, text=text.text) if isinstance(text, NamedText) else text
 
 
-class _RigTexts(_Data):
+class _RigTexts(_RunModel):
     rig: str
     eds: dict[str, str]
 
     @classmethod
-    def of(cls, rig: Rig) -> _RigTexts:
+    def from_rig(cls, rig: Rig) -> _RigTexts:
         return cls(rig=rig.effective(), eds=dict(rig.eds_texts))
 
     def load(self, name: str) -> Rig:
         return load_rig_text(self.rig, name, self.eds, attached=True)
 
 
-class _Document(_Data):
+class _RunDocument(_RunModel):
     """The attachment; a missing `rig` is that of the recording."""
 
     virtual: bool
@@ -228,7 +228,7 @@ class _Document(_Data):
 
 
 @dataclass(frozen=True)
-class _Named:
+class _NamedCode:
     """The code that the caller names for the run of a recording."""
 
     path: str
@@ -246,7 +246,7 @@ class _Named:
             raise NotRepeatable(f"{where}, and its checksum is not known: the run cannot be repeated")
         if function is None:
             raise NotRepeatable(f"{where}; name it again in Python: coulombus.repeat({self.path!r}, {part}=FUNCTION)")
-        code = Code.of(function, part, f"repeat({part}=FUNCTION)")
+        code = Code.from_function(function, part, f"repeat({part}=FUNCTION)")
         if code.sha256 != recorded.sha256:
             raise NotRepeatable(f"{self.path}: {part} {code.code}: its file is not that of the run ({recorded.code})")
         return code
@@ -323,12 +323,12 @@ def recorded_run(
             f"{path}: no run is attached (an earlier version, another tool, or emulate made it); {remedy}"
         )
     try:
-        document = _Document.model_validate_json(attachments[RUN])
+        document = _RunDocument.model_validate_json(attachments[RUN])
     except ValidationError as error:
         mistake = error.errors()[0]
         where = ".".join(map(str, mistake["loc"])) or "it"
         raise NotRepeatable(f"{path}: its attachment {RUN}: {where}: {mistake['msg']}; a newer version?") from None
-    named = _Named(path, law, attachments)
+    named = _NamedCode(path, law, attachments)
     rig = attached_rig(begin) if document.rig is None else document.rig.load(f"{path}[{RUN}]")
     if rig is None:
         raise NotRepeatable(f"{path}: a run is attached, and no rig")

@@ -46,18 +46,18 @@ class Course(ABC):
 
     Attributes
     ----------
-    k : the host's controllers
+    controllers : the host's controllers
     path, recorder : path and recorder of the recording; None without a recording
     failure : reason why the recording could not be written, or None
     losses : settings that bring-up left out, each with the protection that the host loses
     """
 
-    def __init__(self, k: Controllers, path: Path | None, progress: Callable[[float], None] | None) -> None:
-        self.k, self.path, self.progress = k, path, progress
+    def __init__(self, controllers: Controllers, path: Path | None, progress: Callable[[float], None] | None) -> None:
+        self.controllers, self.path, self.progress = controllers, path, progress
         self.recorder: Recorder | None = None
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
-        self.marks = PhaseMarks(k.rig)
+        self.marks = PhaseMarks(controllers.rig)
         self._end_marked = self._trip_marked = False
 
     def run(self, seconds: float | None) -> RunResult:
@@ -86,7 +86,7 @@ class Course(ABC):
         """Return a context that begins the cycle, and at its end makes the rig safe."""
 
     @abstractmethod
-    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+    def advance(self, until_ns: int, done: Callable[[], bool]) -> bool:
         """Advance the run by one supervision step, at most to `until_ns` or until `done`.
 
         Return False if the run must end.
@@ -109,13 +109,13 @@ class Course(ABC):
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
         """Time at which each axis' drive entered Operation Enabled, which begins its schedule; None before."""
-        enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.k)
+        enabled_ns = (int(controller.host["enabled_ns"][0]) for controller in self.controllers)
         return tuple(None if start < 0 else start for start in enabled_ns)
 
     @property
     def safe_ns(self) -> int | None:
         """Time at which the first axis entered its safe state; None before."""
-        return self.k.safe_ns
+        return self.controllers.safe_ns
 
     @property
     def enabled_ns(self) -> int | None:
@@ -125,27 +125,27 @@ class Course(ABC):
 
     def display(self, seconds: float | None) -> None:
         """Wait until all axes are armed, then display for `seconds`; None: until the run is ended."""
-        arming_ends = self.now_ns + round(2e9 * self.k.arming_s)
-        while self.enabled_ns is None and self.now_ns < arming_ends and self.look(arming_ends, self._one_more):
+        arming_ends = self.now_ns + round(2e9 * self.controllers.arming_s)
+        while self.enabled_ns is None and self.now_ns < arming_ends and self.advance(arming_ends, self._one_more):
             pass
         enabled = self.enabled_ns
         if enabled is not None:
             display_ends = FOREVER_NS if seconds is None else enabled + round(seconds * 1e9)
-            while self.now_ns < display_ends and self.look(display_ends, lambda: self.k.ending):
+            while self.now_ns < display_ends and self.advance(display_ends, lambda: self.controllers.ending):
                 pass
         self._mark_display_end()
 
     def make_safe(self) -> None:
         """Request the safe state, and wait until the brakes are ramped off and the drives disabled."""
         self.stop()
-        ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
-        while not self.k.done and self.now_ns < ends:
-            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end_marked))
+        ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.controllers.ending_s)
+        while not self.controllers.done and self.now_ns < ends:
+            self.advance(ends, lambda: self.controllers.done or (self.controllers.safe and not self._end_marked))
         self.mark_end()
 
     def _one_more(self) -> bool:
         """Return whether a drive is enabled whose schedule has not begun, or an axis is in its safe state."""
-        return self.marks.begun < len(self.k.each) - self.starts_ns.count(None) or self.k.ending
+        return self.marks.begun < len(self.controllers.each) - self.starts_ns.count(None) or self.controllers.ending
 
     # markers and recording
 
@@ -165,7 +165,7 @@ class Course(ABC):
         for marker in self.marks.due(min(before_ns, self._shown_ns() + 1)):
             self.mark(*marker)
         if self.safe_ns is not None:
-            if self.k.trip is not None:  # the trip's marker is the last one
+            if self.controllers.trip is not None:  # the trip's marker is the last one
                 self._mark_display_end()
             self.mark_end()
 
@@ -178,7 +178,7 @@ class Course(ABC):
         if self._end_marked:
             return
         self._end_marked = True
-        trip, safe_ns = self.k.trip, self.safe_ns
+        trip, safe_ns = self.controllers.trip, self.safe_ns
         self._trip_marked = trip is not None
         self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
 
@@ -212,11 +212,11 @@ class Course(ABC):
     @property
     def trip(self) -> str | None:
         """Text of the trip, or None."""
-        return self.k.trip if self.failure is None else f"RECORDING: {self.failure}"
+        return self.controllers.trip if self.failure is None else f"RECORDING: {self.failure}"
 
     def figures(self) -> Figures:
         """Return the display's figures, computed from the recording alone."""
-        none = [Measures() for _ in self.k]
+        none = [Measures() for _ in self.controllers]
         if self.path is None or (self.path.exists() and not self.path.is_file()):  # a device, such as /dev/null
             return Figures(none, None)
         try:
@@ -231,8 +231,8 @@ class Course(ABC):
 
     def result_of(self, figures: Figures, **fields: Any) -> RunResult:
         """Return the result of the run; `fields`: those that differ between virtual time and a rig."""
-        return RunResult.of(
-            self.k,
+        return RunResult.from_controllers(
+            self.controllers,
             figures.each,
             record=self.path,
             recording_sha256=figures.sha256,

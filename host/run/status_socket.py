@@ -52,7 +52,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not abs(value) < float("inf") else value
 
 
-class _Reader:
+class _StatusReader:
     """A connected reader, and the unsent rest of its line."""
 
     def __init__(self, connection: socket.socket, now_ns: int) -> None:
@@ -99,7 +99,7 @@ class StatusSocket:
 
     def __init__(self, path: Path, document: Callable[[], dict[str, Any]]) -> None:
         self.path, self._document = path, document
-        self._readers: list[_Reader] = []
+        self._readers: list[_StatusReader] = []
         self._next_ns, self.left_out, self.let_go = 0, 0, 0
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:
@@ -151,7 +151,7 @@ class StatusSocket:
             except ConnectionAbortedError:
                 continue
             if len(self._readers) < READERS:
-                self._readers.append(_Reader(connection, now_ns))
+                self._readers.append(_StatusReader(connection, now_ns))
             else:
                 connection.close()
 

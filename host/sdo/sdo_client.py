@@ -52,7 +52,7 @@ class BusAnswers:
     def __init__(self) -> None:
         self._nodes: defaultdict[int, SdoAnswers] = defaultdict(SdoAnswers)
 
-    def of(self, node_id: int) -> SdoAnswers:
+    def node(self, node_id: int) -> SdoAnswers:
         """Return the answers of one node."""
         return self._nodes[node_id]
 
@@ -112,7 +112,7 @@ class SdoSession(Generic[T]):
         if self._answers.take(message):
             self._go_on(lambda: self._transfer.send(message))
 
-    def look(self, now_ns: int) -> None:
+    def check_timeout(self, now_ns: int) -> None:
         """End the transfer after the server's time-out."""
         if self.done or now_ns < self.deadline_ns:
             return
@@ -179,7 +179,7 @@ def run_transfers(
     link: FrameLink,
     transfers: Mapping[int, Iterator[Transfer[T]]],
     timeout_s: float,
-    tell: Callable[[int, T | HostError], None],
+    on_result: Callable[[int, T | HostError], None],
     answers: BusAnswers,
     hear: Callable[[BusFrame], None] | None = None,
 ) -> None:
@@ -188,7 +188,7 @@ def run_transfers(
     Parameters
     ----------
     transfers : the transfers of each node id
-    tell : called with (node id, value or error) at the end of each transfer
+    on_result : called with (node id, value or error) at the end of each transfer
     answers : requests and responses so far
     hear : handles the frames that no transfer waits for, instead of `answers`
     """
@@ -200,7 +200,7 @@ def run_transfers(
         transfer = next(waiting[node_id], None)
         talks.pop(node_id, None)
         if transfer is not None:
-            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), answers.of(node_id))
+            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), answers.node(node_id))
 
     try:
         for node_id in waiting:
@@ -217,9 +217,9 @@ def run_transfers(
                     talk.odd_length = frame.length
             now_ns = link.now_ns()
             for node_id, talk in list(talks.items()):
-                talk.look(now_ns)
+                talk.check_timeout(now_ns)
                 if talk.done:
-                    tell(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of the two is set
+                    on_result(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of the two is set
                     begin(node_id)
     finally:
         for talk in talks.values():
@@ -323,7 +323,7 @@ class SdoClient:
                 )
 
     def _refuse_duplicate(self) -> None:
-        answers = self._answers.of(self.node_id)
+        answers = self._answers.node(self.node_id)
         if answers.duplicate_node_id:
             place = where(*named(answers.second))
             raise DuplicateNodeId(

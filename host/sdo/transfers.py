@@ -115,7 +115,7 @@ def _nothing(done: int, total: int) -> None:
     pass
 
 
-class _Answers:
+class _Exchange:
     """The server's responses in one transfer, with checks."""
 
     def __init__(self, what: str, index: int, subindex: int) -> None:
@@ -141,7 +141,7 @@ class _Answers:
             if named(answer) == (self.index, self.subindex) and answer[0] >> 5 in (2, 3, 5, 6):
                 return answer
             answer = yield from self.next()
-        raise self.wrong(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
+        raise self.protocol_error(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
 
     def no_segment(self, answer: bytes, text: str) -> SdoProtocolError:
         """Return the error for an answer that is not that of a segment."""
@@ -151,9 +151,9 @@ class _Answers:
                 f"{where(self.index, self.subindex)}: two devices have this node id: {APART}",
                 Abort.GENERAL,
             )
-        return self.wrong(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
+        return self.protocol_error(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
 
-    def wrong(self, text: str, code: int) -> SdoProtocolError:
+    def protocol_error(self, text: str, code: int) -> SdoProtocolError:
         return SdoProtocolError(f"{self.what} {where(self.index, self.subindex)}: {text}", code, text)
 
 
@@ -182,80 +182,80 @@ def upload(
     SdoProtocolError
         the server's answer is not valid, or the object has more bytes than `most` or than indicated
     """
-    say = _Answers("upload of", index, subindex)
+    exchange = _Exchange("upload of", index, subindex)
     answer = b""
     if block and index in DOMAINS:
         block = False  # asked for here: what comes instead is the server's choice
         try:
-            answer = yield from say.first(head(0xA4, index, subindex, bytes((BLOCK, SWITCH))))
+            answer = yield from exchange.first(head(0xA4, index, subindex, bytes((BLOCK, SWITCH))))
         except SdoRefused as refused:
             if refused.code != Abort.COMMAND:
                 raise
         if answer and answer[0] >> 5 == 6:
-            return (yield from _blocks(say, answer, most, progress))
-    answer = answer or (yield from say.first(head(0x40, index, subindex)))
+            return (yield from _blocks(exchange, answer, most, progress))
+    answer = answer or (yield from exchange.first(head(0x40, index, subindex)))
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
         size = int.from_bytes(answer[4:8], "little")
         if LONG < size <= most:
             yield SdoStep((abort(index, subindex),), waits=False)  # aborts the segmented transfer
             try:
-                content = yield from _block_upload(say, most, progress)
+                content = yield from _block_upload(exchange, most, progress)
                 if content is not None:
                     return content
             except SdoRefused as refused:
                 if refused.code != Abort.COMMAND:
                     raise
-            answer = yield from say.first(head(0x40, index, subindex))
+            answer = yield from exchange.first(head(0x40, index, subindex))
             if answer[0] >> 5 == 6:  # the block upload's late answer: the first answer had been delivered twice
-                answer = yield from say.next()
+                answer = yield from exchange.next()
     if answer[0] & 0xE3 == 0x42:
         return unsized(answer[4:8])
-    return (yield from _ordinary(say, answer, most, progress))
+    return (yield from _ordinary(exchange, answer, most, progress))
 
 
-def _ordinary(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
+def _ordinary(exchange: _Exchange, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
     """Continue an upload after the server's first answer, expedited or by segments."""
     if answer[0] >> 5 != 2:
-        raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
         return answer[4 : 8 - (answer[0] >> 2 & 3)]
     size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
     if size is not None and size > max_bytes:
-        raise say.wrong(f"it has {size} bytes, {max_bytes} are the most expected", Abort.MEMORY)
+        raise exchange.protocol_error(f"it has {size} bytes, {max_bytes} are the most expected", Abort.MEMORY)
     limit = size if size is not None else min(max_bytes, MOST_UNTOLD)
     data, toggle, last = b"", 0, False
     while not last:
-        answer = yield from say.next(bytes((0x60 | toggle,)) + bytes(7))
+        answer = yield from exchange.next(bytes((0x60 | toggle,)) + bytes(7))
         if answer[0] >> 5 != 0:
-            raise say.no_segment(answer, "is no segment")
+            raise exchange.no_segment(answer, "is no segment")
         if answer[0] & 0x10 != toggle:
-            raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
+            raise exchange.protocol_error("the toggle bit did not alternate", Abort.TOGGLE)
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
         last, toggle = bool(answer[0] & 0x01), toggle ^ 0x10
         if len(data) > limit:
-            raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
+            raise exchange.protocol_error(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
         progress(len(data), size or 0)
     if size is not None and size != len(data):
-        raise say.wrong(f"{size} bytes were told, {len(data)} came", Abort.LENGTH)
+        raise exchange.protocol_error(f"{size} bytes were told, {len(data)} came", Abort.LENGTH)
     return data
 
 
-def _block_upload(say: _Answers, max_bytes: int, progress: Progress) -> Transfer[bytes | None]:
+def _block_upload(exchange: _Exchange, max_bytes: int, progress: Progress) -> Transfer[bytes | None]:
     """Return the object's bytes; None if the server begins a segmented upload.
 
     Then the server lacks block transfer, or its answer to the previous request was delivered twice.
     """
-    answer = yield from say.first(head(0xA4, say.index, say.subindex, bytes((BLOCK, 0))))
+    answer = yield from exchange.first(head(0xA4, exchange.index, exchange.subindex, bytes((BLOCK, 0))))
     if answer[0] >> 5 == 2:
-        say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may still arrive
+        exchange.refusal = abort(exchange.index, exchange.subindex, Abort.COMMAND)  # may still arrive
         return None
-    return (yield from _blocks(say, answer, max_bytes, progress))
+    return (yield from _blocks(exchange, answer, max_bytes, progress))
 
 
-def _blocks(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
+def _blocks(exchange: _Exchange, answer: bytes, max_bytes: int, progress: Progress) -> Transfer[bytes]:
     """Continue a block upload after the server's first answer."""
     if answer[0] & 0xE1 != 0xC0:
-        raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)
     size = int.from_bytes(answer[4:8], "little") if answer[0] & 0x02 else 0
     limit = size or min(max_bytes, MOST_UNTOLD)
@@ -264,7 +264,7 @@ def _blocks(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) ->
     repeated, last = 0, False
     while not last:
         good, number, ended = 0, 0, False
-        answer = yield from say.next(message)
+        answer = yield from exchange.next(message)
         while True:
             number, ended = answer[0] & 0x7F, bool(answer[0] & 0x80)
             if number == good + 1:
@@ -272,22 +272,22 @@ def _blocks(say: _Answers, answer: bytes, max_bytes: int, progress: Progress) ->
                 good, last = number, ended
             if ended or number >= BLOCK:
                 break
-            answer = yield from say.next()
+            answer = yield from exchange.next()
         repeated = 0 if good else repeated + 1
         if repeated > REPEATS:
-            raise say.wrong("segments are lost again and again", Abort.SEQUENCE)
+            raise exchange.protocol_error("segments are lost again and again", Abort.SEQUENCE)
         if len(data) > limit + 6:
-            raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
+            raise exchange.protocol_error(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
         progress(min(len(data), limit), size)
         message = bytes((0xA2, good, BLOCK)) + bytes(5)
-    answer = yield from say.next(message)
+    answer = yield from exchange.next(message)
     if answer[0] & 0xE3 != 0xC1:
-        raise say.wrong(f"command {answer[0]:02X}h, expected the end of a block upload", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h, expected the end of a block upload", Abort.COMMAND)
     content = bytes(data[: len(data) - (answer[0] >> 2 & 7)])
     if crc and int.from_bytes(answer[1:3], "little") != crc16(content):
-        raise say.wrong("the CRC is wrong", Abort.CRC)
+        raise exchange.protocol_error("the CRC is wrong", Abort.CRC)
     if size and size != len(content):
-        raise say.wrong(f"{size} bytes were told, {len(content)} came", Abort.LENGTH)
+        raise exchange.protocol_error(f"{size} bytes were told, {len(content)} came", Abort.LENGTH)
     yield SdoStep((b"\xa1" + bytes(7),), waits=False)
     return content
 
@@ -303,62 +303,62 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
     SdoProtocolError
         the server's answer is not valid
     """
-    say = _Answers("download to", index, subindex)
+    exchange = _Exchange("download to", index, subindex)
     if 1 <= len(data) <= 4:
-        _check_download(say, (yield from say.first(head(0x23 | (4 - len(data)) << 2, index, subindex, data))))
+        _check_download(exchange, (yield from exchange.first(head(0x23 | (4 - len(data)) << 2, index, subindex, data))))
         return
     if len(data) > LONG:
         try:
-            yield from _block_download(say, data, progress)
+            yield from _block_download(exchange, data, progress)
             return
         except SdoRefused as refused:
             if refused.code != Abort.COMMAND:
                 raise
-    _check_download(say, (yield from say.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))
+    _check_download(exchange, (yield from exchange.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))
     toggle = 0
     for start in range(0, max(len(data), 1), 7):
         part = data[start : start + 7]
         command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(data))
-        answer = yield from say.next(bytes((command,)) + part.ljust(7, b"\0"))
+        answer = yield from exchange.next(bytes((command,)) + part.ljust(7, b"\0"))
         if answer[0] >> 5 != 1:
-            raise say.no_segment(answer, "acknowledges no segment")
+            raise exchange.no_segment(answer, "acknowledges no segment")
         if answer[0] & 0x10 != toggle:
-            raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
+            raise exchange.protocol_error("the toggle bit did not alternate", Abort.TOGGLE)
         toggle ^= 0x10
         progress(start + len(part), len(data))
 
 
-def _check_download(say: _Answers, answer: bytes) -> None:
+def _check_download(exchange: _Exchange, answer: bytes) -> None:
     if answer[0] >> 5 != 3:
-        raise say.wrong(f"command {answer[0]:02X}h, expected 60h", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h, expected 60h", Abort.COMMAND)
 
 
-def _block_download(say: _Answers, data: bytes, progress: Progress) -> Transfer[None]:
-    answer = yield from say.first(head(0xC6, say.index, say.subindex, len(data).to_bytes(4, "little")))
+def _block_download(exchange: _Exchange, data: bytes, progress: Progress) -> Transfer[None]:
+    answer = yield from exchange.first(head(0xC6, exchange.index, exchange.subindex, len(data).to_bytes(4, "little")))
     if answer[0] & 0xFB != 0xA0:
-        raise say.wrong(f"command {answer[0]:02X}h, expected A0h or A4h", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h, expected A0h or A4h", Abort.COMMAND)
     crc, size = bool(answer[0] & 0x04), answer[4]
     segments = [data[start : start + 7].ljust(7, b"\0") for start in range(0, len(data), 7)]
     position = repeated = 0
     while position < len(segments):
         if not 1 <= size <= BLOCK:
-            raise say.wrong(f"block size {size}, expected 1 to 127", Abort.BLOCK_SIZE)
+            raise exchange.protocol_error(f"block size {size}, expected 1 to 127", Abort.BLOCK_SIZE)
         block = segments[position : position + size]
         final = position + len(block) == len(segments)
         numbered = [
             bytes((number | 0x80 * (final and number == len(block)),)) + segment
             for number, segment in enumerate(block, 1)
         ]
-        answer = yield from say.next(*numbered)
+        answer = yield from exchange.next(*numbered)
         if answer[0] & 0xE3 != 0xA2 or answer[1] > len(block):
-            raise say.wrong(f"{answer.hex(' ')} acknowledges no block", Abort.COMMAND)
+            raise exchange.protocol_error(f"{answer.hex(' ')} acknowledges no block", Abort.COMMAND)
         good, size = answer[1], answer[2]
         repeated = 0 if good else repeated + 1
         if repeated > REPEATS:
-            raise say.wrong("the server asks for the same segments again and again", Abort.SEQUENCE)
+            raise exchange.protocol_error("the server asks for the same segments again and again", Abort.SEQUENCE)
         position += good
         progress(min(7 * position, len(data)), len(data))
     end = bytes((0xC1 | -len(data) % 7 << 2,)) + (crc16(data) if crc else 0).to_bytes(2, "little")
-    answer = yield from say.next(end.ljust(8, b"\0"))
+    answer = yield from exchange.next(end.ljust(8, b"\0"))
     if answer[0] & 0xE3 != 0xA1:
-        raise say.wrong(f"command {answer[0]:02X}h, expected A1h", Abort.COMMAND)
+        raise exchange.protocol_error(f"command {answer[0]:02X}h, expected A1h", Abort.COMMAND)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from coulombus.system.quoting import extended_regex, interface_name, shell, systemd_program, systemd_word, unit_name
 from coulombus.wire.address import parse_address
 
-__all__ = ["Service", "files"]
+__all__ = ["UnitSettings", "files"]
 
 USER, GROUP = "coulombus", "realtime"
 WATCHDOG_S, SIM_WATCHDOG_S = 5, 10
@@ -62,7 +62,7 @@ UMask=0027
 
 
 @dataclass(frozen=True)
-class Service:
+class UnitSettings:
     """Settings of the units.
 
     Attributes
@@ -110,7 +110,7 @@ class Service:
         return " ".join((systemd_program(program), *map(systemd_word, (*first, *words))))
 
 
-def files(service: Service) -> dict[str, str]:
+def files(service: UnitSettings) -> dict[str, str]:
     """Return the files by their names; files other than units only for the system's manager, and those of a CAN
     interface only where one is used.
     """
@@ -140,7 +140,7 @@ def files(service: Service) -> dict[str, str]:
 
 
 def _unit(
-    service: Service,
+    service: UnitSettings,
     what: str,
     command: str,
     lines: str,
@@ -174,7 +174,7 @@ def _unit(
     )
 
 
-def _host(service: Service) -> str:
+def _host(service: UnitSettings) -> str:
     after = raised = ""
     if service.bus.startswith("socketcan:") and not service.user:
         device = f"sys-subsystem-net-devices-{unit_name(service.interface)}.device"
@@ -209,7 +209,7 @@ def _host(service: Service) -> str:
     )
 
 
-def _sim(service: Service) -> str:
+def _sim(service: UnitSettings) -> str:
     bus = [] if service.bus.startswith("socketcan:") else ["--bus", service.bus]
     command = service.command("emulate", "--rig", service.rig, *bus)
     lines = "TimeoutStopSec=10\n" + ("" if service.user else "DeviceAllow=/dev/cpu_dma_latency rw\n")
@@ -217,7 +217,7 @@ def _sim(service: Service) -> str:
     return _unit(service, what, command, lines, restart=True, watchdog_s=SIM_WATCHDOG_S, priority=95)
 
 
-def _bridge(service: Service) -> str:
+def _bridge(service: UnitSettings) -> str:
     virtual = service.bus if service.bus.startswith("coulombus:") else "coulombus:bench"
     command = service.command("bridge", virtual, f"socketcan:{service.interface}")
     what = "Coulombus: a virtual bus and a CAN interface as one"

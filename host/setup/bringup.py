@@ -66,7 +66,7 @@ class ControlPlane(FrameLink, Protocol):
         """Return the NMT state in the node's last heartbeat; None before the first."""
 
 
-class _Device:
+class _DeviceAccess:
     """SDO access to one node, with sizes from its EDS and readable errors.
 
     Parameters
@@ -288,7 +288,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
 
 def _shown_modes(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
     """Compare the modes that the drives display with the written modes; return the losses."""
-    devices = [_Device(plane, plan, BusAnswers()) for plan in plans]
+    devices = [_DeviceAccess(plane, plan, BusAnswers()) for plan in plans]
     try:
         losses = [check_shown_mode(device.plan, device.upload, plane.wait_ns) for device in devices]
     except HostError:
@@ -308,7 +308,7 @@ def configure(plans: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ..
     _command(plane, NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
     answers = BusAnswers()
-    devices = [_Device(plane, plan, answers) for plan in plans]
+    devices = [_DeviceAccess(plane, plan, answers) for plan in plans]
     try:
         _refuse([text for device in devices for text in device.identify()])
         for device in devices:
@@ -328,7 +328,7 @@ def _command(plane: ControlPlane, command: NmtCommand) -> None:
     plane.send(CobId.NMT, bytes((command, 0)))
 
 
-def _refuse_duplicates(devices: Sequence[_Device], answers: BusAnswers) -> None:
+def _refuse_duplicates(devices: Sequence[_DeviceAccess], answers: BusAnswers) -> None:
     node_ids = answers.duplicate_node_ids
     _refuse(
         f"two devices answer as node {device.node_id} ({device.name}): take one off the bus, and give the other "

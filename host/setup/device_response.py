@@ -131,12 +131,12 @@ def measure_devices(
     plans = plans_of(controllers)
     try:
         configure(plans, plane)
-        return tuple(_Device(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
+        return tuple(_MeasuredDevice(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
     finally:
         plane.send(CobId.NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, 0)))
 
 
-class _Device:
+class _MeasuredDevice:
     """One device during its measurement."""
 
     def __init__(self, controllers: Controllers, plan: DevicePlan, plane: ControlPlane, wire: Wire) -> None:
@@ -179,17 +179,17 @@ class _Device:
 
     def _round(self, can_ids: Collection[int]) -> dict[int, int]:
         """Send SYNC; return the response time of each TPDO that arrived; then wait for a period."""
-        self._look(self.wire.listen(0))
+        self._observe(self.wire.listen(0))
         self.wire.send(CobId.SYNC, b"")
         self.awaited += 1
         heard = self.wire.listen(ROUND_NS, (CobId.SYNC, *can_ids))
-        self._look(heard)
+        self._observe(heard)
         responses = responses_ns(heard, can_ids, self.rate)
         missing = set(can_ids) - set(responses)
-        self._look(self.wire.listen(LATE_NS, missing) if missing else self.wire.listen(self.period_ns))
+        self._observe(self.wire.listen(LATE_NS, missing) if missing else self.wire.listen(self.period_ns))
         return responses
 
-    def _look(self, heard: Sequence[Stamped]) -> None:
+    def _observe(self, heard: Sequence[Stamped]) -> None:
         """Store the codes of EMCYs; refuse a SYNC of another host."""
         self.awaited -= sum(frame.can_id == CobId.SYNC for frame in heard)
         if self.awaited < 0:

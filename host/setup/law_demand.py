@@ -1,8 +1,10 @@
-"""Peak output of the law against the limits of motor and brake; a law that a limit would clip is refused.
+"""Limits of motor and brake against the law's peak output; a law that a limit would clip is refused.
 
 The peak outputs of built-in laws follow from their parameters (`host.laws.law.Declaration.extremes`).
 Those of a user's law are unknown before it runs. Clipping is then counted in every cycle
 (``clipped_torque``, ``clipped_setpoints``) and reported at the end of the run.
+
+`meanings_of` has the limits' effects on the handle, and limits without effect, for `check`.
 """
 
 from __future__ import annotations
@@ -11,7 +13,14 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from coulombus.host.cycle.output_limits import brake_limit, law_pushes, motor_limit, scale_Nm, torque_step_Nm
+from coulombus.host.cycle.output_limits import (
+    brake_limit,
+    law_pushes,
+    motor_limit,
+    motor_limit_Nm,
+    scale_Nm,
+    torque_step_Nm,
+)
 from coulombus.host.laws.laws import BUILTIN_LAWS
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.host.plane.plane_host import load_plane
@@ -19,7 +28,9 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.kinematics.pose_kernels import condition
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["check_demand", "cut_off", "law_extremes", "remarks"]
+__all__ = ["check_demand", "cut_off", "law_extremes", "meanings_of", "remarks"]
+
+NO_EFFECT = "it never acts"
 
 
 class Demand(NamedTuple):
@@ -151,3 +162,25 @@ def check_demand(rig: Rig, mode: str) -> None:
     texts = cut_off(rig, mode)
     if texts:
         raise RigError(texts)
+
+
+def meanings_of(axis: Axis, mode: str) -> Iterator[str]:
+    """Yield a sentence for each limit of motor and brake in this mode."""
+    limits, period_s = axis.limits, axis.bus.period_s
+    motor_Nm, brake_Nm = motor_limit_Nm(axis, mode), brake_limit(axis)[0]
+    if motor_Nm > 0.0:
+        rate = limits.torque_rate_Nm_s
+        yield axis.said(
+            f"limits.torque_rate_Nm_s: mode {mode} reverses {motor_Nm:g} Nm in {2 * motor_Nm / rate * 1e3:.3g} ms"
+            + (f": {NO_EFFECT}, a cycle is {period_s * 1e3:g} ms" if 2 * motor_Nm <= rate * period_s else "")
+        )
+        step_rad_s = motor_Nm / axis.mechanics.inertia_kg_m2 * period_s
+        yield axis.said(f"mode.{mode}.motor_limit_Nm: it moves a free handle by {step_rad_s:.2g} rad/s in a cycle")
+    if limits.safe_brake_Nm is not None:
+        yield axis.said("limits.safe_brake_Nm: it is of version 0.2 and without effect; delete it")
+    if mode != "active" and brake_Nm > 0.0:
+        fall = limits.brake_fall
+        yield axis.said(
+            f"limits.brake_fall_Nm_s: the law lets {brake_Nm:g} Nm go in {brake_Nm / fall * 1e3:.3g} ms"
+            + (f": {NO_EFFECT}, a cycle is {period_s * 1e3:g} ms" if brake_Nm <= fall * period_s else "")
+        )

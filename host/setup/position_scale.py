@@ -50,7 +50,7 @@ class BelievedScale(NamedTuple):
     accepted: bool
     drive_axis: int
 
-    def told(self, value: Callable[[int, int], int | None]) -> PositionScale:
+    def drive_scale(self, value: Callable[[int, int], int | None]) -> PositionScale:
         """Return the scale from the values of the drive's objects; `value` takes the first axis' objects."""
         if first_axis_object(self.place[0]) == POSITION[0]:
             return position_scale(value, self.drive_axis)
@@ -61,7 +61,7 @@ class BelievedScale(NamedTuple):
 
     def difference(self, value: Callable[[int, int], int | None]) -> str:
         """Return the text of the drive's different scale; "" if it agrees, or the drive has no scale."""
-        drive_scale = self.told(value)
+        drive_scale = self.drive_scale(value)
         if drive_scale.counts_rev is None or drive_scale.agrees(self.counts_rev):
             return ""
         name = f"{self.place[0]:04X}h"
@@ -117,7 +117,7 @@ def remark_of(axis: Axis, scale: BelievedScale) -> tuple[str, str]:
     difference = scale.difference(defaults(description, scale.drive_axis))
     if difference:
         return f"{difference}; that is {description.path}, and bring-up asks the drive", ""
-    if scale.told(defaults(description, scale.drive_axis)).counts_rev is None:
+    if scale.drive_scale(defaults(description, scale.drive_axis)).counts_rev is None:
         text = "does not tell the scale of the position; bring-up asks the drive"
         return f"{scale.who}: {description.path} {text}, and holds {scale.key} against it", ""
     return "", ""

@@ -254,8 +254,8 @@ class Pressed:
 @pytest.mark.parametrize("function", [press, partial(press), Pressed(), Pressed().__call__, lambda world: press(world)])
 def test_the_checksum_of_code_is_that_of_its_file(function):
     own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-    assert Code.of(function, "script", "").sha256 == own
-    assert Code.of([].append, "script", "").sha256 is None
+    assert Code.from_function(function, "script", "").sha256 == own
+    assert Code.from_function([].append, "script", "").sha256 is None
 
 
 def test_a_run_is_checked_where_it_is_made():

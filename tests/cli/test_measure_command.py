@@ -18,7 +18,7 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.host.run import measure as measuring
 from coulombus.host.run.control_socket import HostSocket, control_path
 from coulombus.host.run.host_latency import compute_times_ns
-from coulombus.host.run.measure import Measured, Spread, proposed_ns, quiet_mode
+from coulombus.host.run.measure import Measured, TimeQuantiles, proposed_ns, quiet_mode
 from coulombus.host.setup.device_response import DeviceTimes, PdoTimes
 from coulombus.rigs.rewrite import NewValue, rewritten
 from coulombus.rigs.rig import load_rig, load_rig_text
@@ -43,7 +43,7 @@ def device(name, role, *times_us, missed=0, node_id=1):
 
 
 def measured(*devices):
-    host = Spread(100, 20.0, 30.0, 41.0)
+    host = TimeQuantiles(100, 20.0, 30.0, 41.0)
     return Measured(devices, host, ({"name": "SCHED_FIFO", "granted": False, "detail": "no", "remedy": "sudo"},))
 
 

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from coulombus.eds.cia402 import PowerState
-from coulombus.host.commission.progress import Progress
-from coulombus.host.commission.session import RunEnded, Session
+from coulombus.host.commission.session import STEPS, Progress, RunEnded, Session
 from coulombus.host.commission.step import CommissionError, Given
-from coulombus.host.commission.steps import STEPS
 from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
@@ -184,7 +182,7 @@ def test_a_disk_that_is_full_at_the_state_leaves_a_rig_file_that_loads(afternoon
     def full(path, content):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("coulombus.host.commission.progress.write_whole", full)
+    monkeypatch.setattr("coulombus.host.commission.session.write_whole", full)
     with pytest.raises(OSError, match="No space left on device"):
         afternoon("friction", truth=TRUTH)
     assert load_rig(str(tmp_path / "my.toml")).one_axis().mechanics.friction_Nm == pytest.approx(0.2, rel=0.01)

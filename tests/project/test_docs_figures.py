@@ -10,7 +10,7 @@ import pytest
 
 from conformance_mutants import MUTANTS
 from coulombus.conformance.catalogue import catalogue
-from coulombus.host.commission.steps import STEPS
+from coulombus.host.commission.session import STEPS
 from coulombus.host.laws.law import LAW, LAW_STATE, MOTION
 from coulombus.host.laws.laws import BUILTIN_LAWS
 from places import ROOT

@@ -6,8 +6,8 @@ from importlib.metadata import version
 
 import pytest
 
-from coulombus.host.commission.progress import Progress
 from coulombus.host.commission.report import Signature, report, signature, value_texts
+from coulombus.host.commission.session import Progress
 from coulombus.rigs.rig import load_rig, packaged_rig
 
 TITLES = {"zero": "zero", "friction": "friction"}

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from coulombus.host.commission.earlier import rounded, shares
 from coulombus.host.commission.samples import counted_reach, independent, mean_in
-from coulombus.host.commission.step import Given
+from coulombus.host.commission.step import Given, rounded, shares
 from coulombus.recording.friction.regression import Estimate, Levels, clusters_of, regress, solve, widened
 from coulombus.recording.signals import Series
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.host.commission.lag_fit import LagFit, _lagged, step_answer
+from coulombus.host.commission.response import LagFit, _lagged, step_answer
 
 T = 1e-3
 

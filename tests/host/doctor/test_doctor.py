@@ -15,10 +15,9 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.host.doctor import software
+from coulombus.host.doctor.checks import Absent, CannotRead, Machine, Outcome, examine, script
 from coulombus.host.doctor.cpu import others_mask
-from coulombus.host.doctor.disk import free
-from coulombus.host.doctor.examination import examination
-from coulombus.host.doctor.finding import Outcome, examine, script
+from coulombus.host.doctor.examination import RigDemands, examination, free
 from coulombus.host.doctor.latency import (
     Latency,
     LatencyError,
@@ -28,8 +27,6 @@ from coulombus.host.doctor.latency import (
     measure_latency,
     read_cyclictest,
 )
-from coulombus.host.doctor.machine import Absent, CannotRead, Machine
-from coulombus.host.doctor.wanted import RigDemands
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.rigs.rig import load_rig
 from coulombus.system.realtime import bus_cpu, cpu_list, default_cpu
@@ -37,7 +34,7 @@ from coulombus.wire.address import parse_address
 from places import ROOT
 
 CAN0 = {"": parse_address("socketcan:can0")}
-WANTED = RigDemands.of(load_rig("bench"))
+WANTED = RigDemands.from_rig(load_rig("bench"))
 CPUS = "sys/devices/system/cpu"
 LIMITS = "Limit  Soft  Hard  Units\nMax locked memory         {memlock} {memlock} bytes\nMax realtime priority     {rtprio} {rtprio}\n"
 

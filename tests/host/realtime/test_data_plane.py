@@ -371,14 +371,14 @@ def test_a_data_plane_that_is_stopped_has_not_died():
 )
 def test_a_trip_says_what_became_of_whom(trip, error, told):
     run = RealCourse.__new__(RealCourse)
-    run.k, run.failure, run.error, run._fate = Controllers(load_rig("bench"), "hybrid"), None, error, ""
+    run.controllers, run.failure, run.error, run._fate = Controllers(load_rig("bench"), "hybrid"), None, error, ""
     run.plane = SimpleNamespace(fate="is stopped", lost_text="Broken pipe")
     if trip is Trip.DATA_PLANE:
         run._plane_gone()
         run.plane.fate = "was ended by signal 9: Killed"  # at the end, by this process
         run._plane_gone()
     elif trip is not Trip.NONE:
-        run.k.host["trip"] = trip
+        run.controllers.host["trip"] = trip
     assert run.trip == told
 
 

@@ -12,8 +12,7 @@ from click.testing import CliRunner
 from coulombus.cli.main import main
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameter_changes import LiveParameters
-from coulombus.host.run.arm_key import LOCK_NS, LONGEST_NS, TRIES, WINDOW_NS, ArmKey, new_arm_key
-from coulombus.host.run.changes import Changes
+from coulombus.host.run.changes import LOCK_NS, LONGEST_NS, TRIES, WINDOW_NS, ArmKey, Changes, new_arm_key
 from coulombus.host.run.control_socket import HostSocket, NotChanged, StopRequest, ask_change, control_path
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address

@@ -14,8 +14,8 @@ import time
 import pytest
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.run import deadman_external
-from coulombus.host.run.deadman_external import GET_LINE, GET_VALUES, LINE, VALUES, HeldLine, HeldSocket, switch_of
+from coulombus.host.run import deadman
+from coulombus.host.run.deadman import GET_LINE, GET_VALUES, LINE, VALUES, HeldLine, HeldSocket, switch_of
 from coulombus.rigs.rig import RigError, load_rig
 
 PATIENCE_S = 10
@@ -52,7 +52,7 @@ def plane():
 
 @pytest.fixture
 def switch(tmp_path, plane, monkeypatch):
-    monkeypatch.setattr(deadman_external, "SILENCE_S", 2.0)  # a machine that is busy lets nothing go by itself
+    monkeypatch.setattr(deadman, "SILENCE_S", 2.0)  # a machine that is busy lets nothing go by itself
     with HeldSocket(plane.hold, tmp_path / "hand") as switch:
         yield switch
 
@@ -76,7 +76,7 @@ def test_a_socket_is_held_by_a_byte_and_let_go_by_its_end(switch, plane):
 
 
 def test_silence_lets_a_socket_go(tmp_path, plane, monkeypatch):
-    monkeypatch.setattr(deadman_external, "SILENCE_S", 0.05)
+    monkeypatch.setattr(deadman, "SILENCE_S", 0.05)
     with HeldSocket(plane.hold, tmp_path / "hand") as switch, connect(switch) as client:
         client.send(b"x")
         plane.wait(True)
@@ -175,7 +175,7 @@ def test_the_kernel_s_structures_have_their_sizes():
 
 @pytest.mark.parametrize(("low", "held", "pull"), [(False, 1, 1 << 9), (True, 0, 1 << 8)])
 def test_a_line_is_held_at_its_level_and_a_broken_cable_lets_go(chip, plane, monkeypatch, low, held, pull):
-    monkeypatch.setattr(deadman_external, "LEVEL_S", 5.0)
+    monkeypatch.setattr(deadman, "LEVEL_S", 5.0)
     chip.level = 1 - held
     with line(chip, plane, low=low):
         plane.wait_word()
@@ -189,7 +189,7 @@ def test_a_line_is_held_at_its_level_and_a_broken_cable_lets_go(chip, plane, mon
 
 
 def test_a_line_that_is_unplugged_is_let_go(chip, plane, monkeypatch):
-    monkeypatch.setattr(deadman_external, "LEVEL_S", 5.0)
+    monkeypatch.setattr(deadman, "LEVEL_S", 5.0)
     chip.level = 1
     with line(chip, plane) as switch:
         plane.wait(True)

@@ -11,9 +11,18 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.run import deadman, deadman_external
-from coulombus.host.run.deadman import HeldKey, deadman_of
-from coulombus.host.run.deadman_external import GET_LINE, GET_VALUES, LINE, VALUES, HeldLine, HeldSocket, switch_of
+from coulombus.host.run import deadman
+from coulombus.host.run.deadman import (
+    GET_LINE,
+    GET_VALUES,
+    LINE,
+    VALUES,
+    HeldKey,
+    HeldLine,
+    HeldSocket,
+    deadman_of,
+    switch_of,
+)
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address
 
@@ -240,7 +249,7 @@ def test_a_level_counts_for_30_ms_and_is_looked_at_every_2_ms(chip, clock, bits,
 def clients(monkeypatch):
     """The clients that come to a socket, None for one that has gone again."""
     waiting = []
-    monkeypatch.setattr(deadman_external, "_accepted", lambda listener: waiting.pop(0))
+    monkeypatch.setattr(deadman, "_accepted", lambda listener: waiting.pop(0))
     return waiting
 
 
@@ -295,7 +304,7 @@ def test_a_client_never_blocks_the_watcher(short_path):
         listener.bind(str(short_path / "other"))
         listener.listen()
         client.connect(str(short_path / "other"))
-        with deadman_external._accepted(listener) as accepted:
+        with deadman._accepted(listener) as accepted:
             assert not accepted.getblocking()
 
 
@@ -309,9 +318,7 @@ def test_each_kind_of_switch_is_made_of_its_text(terminal, short_path, monkeypat
         assert isinstance(made, HeldSocket)
         assert made.path == Path(f"{short_path}/hand")
     lines = []
-    monkeypatch.setattr(
-        deadman_external, "HeldLine", lambda hold, chip, number, *, low: lines.append((chip, number, low))
-    )
+    monkeypatch.setattr(deadman, "HeldLine", lambda hold, chip, number, *, low: lines.append((chip, number, low)))
     switch_of("gpio:gpiochip1:3", [].append)
     switch_of("gpio:gpiochip1:4:low", [].append)
     assert lines == [(Path("/dev/gpiochip1"), 3, False), (Path("/dev/gpiochip1"), 4, True)]

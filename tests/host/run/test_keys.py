@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from coulombus.host.run.client_requests import Answers
+from coulombus.host.run.client_requests import ClientAnswers
 from coulombus.host.run.deadman import HeldKey
 from coulombus.host.run.markers import StruckKeys
 from coulombus.host.run.run import Outputs
@@ -49,8 +49,8 @@ def test_other_keys_than_the_dead_mans_are_handed_on(terminal):
 def test_the_keys_1_to_9_are_markers():
     keys = StruckKeys(lambda: 7)
     keys.strike(b"1x0 9\xff")
-    assert list(keys.take()) == [(7, "mark 1"), (7, "mark 9")]
-    assert not list(keys.take())
+    assert list(keys.read_markers()) == [(7, "mark 1"), (7, "mark 9")]
+    assert not list(keys.read_markers())
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_q_and_escape_stop(strokes, stop):
 
 
 def answers(run):
-    return Answers(run, None, None, "coulombus:bench", Outputs())
+    return ClientAnswers(run, None, None, "coulombus:bench", Outputs())
 
 
 @pytest.mark.parametrize("text", ["", "  ", "a\nb", "a\x1b[2J", "x" * 196])

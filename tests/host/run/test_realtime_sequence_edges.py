@@ -64,7 +64,7 @@ class Keys:
     def strike_early(self, strokes):
         pass
 
-    def take(self):
+    def read_markers(self):
         struck, self.struck = self.struck, ()
         return struck
 
@@ -94,7 +94,7 @@ def course_of(monkeypatch, rig="bench"):
         tell=lambda **what: log.append(("tell", what)), alive=lambda cycles: log.append(("alive", cycles))
     )
     found.world = SimpleNamespace(models=SimpleNamespace(take_rows=bytes), controlled=False, close=lambda: None)
-    found.answers = SimpleNamespace(tell=lambda ns: log.append(("answer", ns)))
+    found.answers = SimpleNamespace(serve_status=lambda ns: log.append(("answer", ns)))
     found.control = SimpleNamespace(check_alone=lambda at: log.append(("alone until", at)), wait_ns=lambda ns: None)
     found.changes = SimpleNamespace(arm_key="")
     batch = SimpleNamespace(write=lambda *what: log.append(("write", *what)))
@@ -125,7 +125,7 @@ def logged(run, *names):
 def at(run, **fields):
     """Set fields of all axes' host records."""
     for name, value in fields.items():
-        run.k.host[name] = value
+        run.controllers.host[name] = value
 
 
 # changes, keys, recording
@@ -290,7 +290,7 @@ def test_a_switch_that_is_held_in_time_arms(run, seconds):
     switch = Switch(run.clock, ZERO_NS + round(seconds * S))
     run._await_hand(switch)
     assert run.clock.ns == ZERO_NS + round(seconds * S)
-    assert run.k.control["deadman_key"].tolist() == [1]
+    assert run.controllers.control["deadman_key"].tolist() == [1]
     assert (switch.log, run.said) == (["entered"], ["coulombus: hold the key"])
     run._stack.close()
     assert switch.log == ["entered", "left"]
@@ -516,7 +516,7 @@ def test_what_ends_a_display(run, name):
     run.signals.number = signal.SIGTERM if name == "signal" else 0
     run.door.stop_wanted = lambda: name in ("door", "signal")
     run._keys.stop = name in ("key", "door")
-    assert run.look(0, lambda: False) is (name == "nothing")
+    assert run.advance(0, lambda: False) is (name == "nothing")
     assert run.stopped_by == {"signal": "SIGTERM", "door": "coulombus stop", "key": "a key"}.get(name)
 
 
@@ -604,12 +604,12 @@ def test_a_data_plane_that_has_gone_or_stands_still_is_noticed(run, since_s, ali
 
 def test_the_axes_of_a_data_plane_that_has_gone_trip_and_end(monkeypatch):
     run = course_of(monkeypatch, "two_axes")
-    run.k.host["phase"] = Phase.RUN, Phase.SAFE
-    run.k.host["trip"][1], run.k.host["trip_ns"][1] = Trip.SPEED, 3
+    run.controllers.host["phase"] = Phase.RUN, Phase.SAFE
+    run.controllers.host["trip"][1], run.controllers.host["trip_ns"][1] = Trip.SPEED, 3
     run._plane_gone()
-    assert run.k.host["trip"].tolist() == [Trip.DATA_PLANE, Trip.SPEED]
-    assert run.k.host["trip_ns"].tolist() == [ZERO_NS, 3]
-    assert run.k.done
+    assert run.controllers.host["trip"].tolist() == [Trip.DATA_PLANE, Trip.SPEED]
+    assert run.controllers.host["trip_ns"].tolist() == [ZERO_NS, 3]
+    assert run.controllers.done
     assert run._fate == "stands still"
     run.plane.fate = "ended with 1"
     run._plane_gone()
@@ -627,11 +627,11 @@ def test_the_axes_of_a_data_plane_that_has_gone_trip_and_end(monkeypatch):
 def test_a_bus_that_is_lost_before_the_first_cycle_is_a_trip(monkeypatch, status, phases, trips):
     run = course_of(monkeypatch, "two_axes")
     run.plane.status = status
-    run.k.host["phase"], run.k.host["trip"][1] = phases, Trip.SPEED
+    run.controllers.host["phase"], run.controllers.host["trip"][1] = phases, Trip.SPEED
     run._never_cycled()
-    assert tuple(run.k.host["trip"]) == (trips or (Trip.NONE, Trip.SPEED))
-    assert tuple(run.k.host["trip_ns"]) == (ZERO_NS if trips else 0, 0)
-    assert tuple(run.k.host["phase"]) == ((Phase.DONE, Phase.DONE) if trips else phases)
+    assert tuple(run.controllers.host["trip"]) == (trips or (Trip.NONE, Trip.SPEED))
+    assert tuple(run.controllers.host["trip_ns"]) == (ZERO_NS if trips else 0, 0)
+    assert tuple(run.controllers.host["phase"]) == ((Phase.DONE, Phase.DONE) if trips else phases)
 
 
 def left(run, monkeypatch, **errors):
@@ -720,10 +720,10 @@ def test_a_trip_is_told_with_what_this_process_knows_of_it(run, trip, error, fai
     if told is None:
         assert run.trip is None
     elif trip == Trip.SPEED and failure is None:
-        assert run.trip == run.k.trip
+        assert run.trip == run.controllers.trip
         assert run.trip.startswith("SPEED")
     elif told.startswith("("):
-        assert run.trip == f"{run.k.trip} {told}"
+        assert run.trip == f"{run.controllers.trip} {told}"
     else:
         assert run.trip == told
 
@@ -740,7 +740,7 @@ def test_the_lost_share_counts_the_axis_that_lost_most(monkeypatch, cycles, miss
     run = course_of(monkeypatch, "two_axes")
     run.plane.cycles = cycles
     run.plane.shared.plane["missed_deadlines"][0] = missed
-    run.k.host["lost_pdos"] = lost
+    run.controllers.host["lost_pdos"] = lost
     assert run._lost_share() == share
 
 

@@ -178,7 +178,7 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
     run.notifier, run.buses = Notifier({}), "coulombus:bench"
-    run.answers = SimpleNamespace(tell=lambda now_ns: None)
+    run.answers = SimpleNamespace(serve_status=lambda now_ns: None)
     run.control = SimpleNamespace(wait_ns=lambda ns: None)
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error, run.stopped_by, run._order = None, None, StampOrder(0)
@@ -198,8 +198,8 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
 def test_a_key_makes_the_rig_safe_at_once(tmp_path, monkeypatch, key):
     run = over(tmp_path, monkeypatch, struck=key)
     assert run.stopped_by == "a key"
-    assert run.k.done
-    assert run.k.safe_ns < 2 * S  # the display would have ended at 6 s
+    assert run.controllers.done
+    assert run.controllers.safe_ns < 2 * S  # the display would have ended at 6 s
     (tmp_path / "again").mkdir()
     assert over(tmp_path / "again", monkeypatch, struck=b"1").stopped_by is None
 

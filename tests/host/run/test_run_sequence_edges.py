@@ -67,7 +67,7 @@ class Virtual(Course):
     def now_ns(self):
         return self.t_ns
 
-    def look(self, until_ns, done):
+    def advance(self, until_ns, done):
         assert type(until_ns) is int
         self.looks.append((until_ns, done()))
         self.t_ns += TICK_NS
@@ -97,7 +97,7 @@ class Virtual(Course):
         return self.losses
 
     def enable(self, axis, t_ns):
-        self.k[axis].host["enabled_ns"][0] = t_ns
+        self.controllers[axis].host["enabled_ns"][0] = t_ns
 
 
 @pytest.fixture(autouse=True)
@@ -189,7 +189,7 @@ def test_a_look_that_says_no_ends_the_arming_and_the_display():
 
 
 def test_a_display_is_looked_at_until_the_axes_end():
-    run = Virtual(BEGIN_NS, BEGIN_NS, at=[(BEGIN_NS + TICK_NS, lambda run: setattr(run.k, "ending", True))])
+    run = Virtual(BEGIN_NS, BEGIN_NS, at=[(BEGIN_NS + TICK_NS, lambda run: setattr(run.controllers, "ending", True))])
     run.display(1.0)
     assert [done for _, done in run.looks] == [False, True, True, True]
 
@@ -208,7 +208,7 @@ def test_a_display_is_looked_at_until_the_axes_end():
 )
 def test_a_look_of_arming_ends_with_a_start_that_is_not_marked_yet(starts, begun, ending, more):
     run = Virtual(*starts)
-    run.marks.begun, run.k.ending = begun, ending
+    run.marks.begun, run.controllers.ending = begun, ending
     assert run._one_more() is more
 
 
@@ -225,7 +225,7 @@ def test_the_safe_state_is_waited_for_ten_seconds_beside_the_brakes_ramp():
 
 
 def test_the_safe_state_ends_when_all_axes_are_done():
-    run = Virtual(BEGIN_NS, BEGIN_NS, at=[(BEGIN_NS + 2 * TICK_NS, lambda run: setattr(run.k, "done", True))])
+    run = Virtual(BEGIN_NS, BEGIN_NS, at=[(BEGIN_NS + 2 * TICK_NS, lambda run: setattr(run.controllers, "done", True))])
     run.make_safe()
     assert len(run.looks) == 2
 
@@ -239,13 +239,13 @@ def test_a_look_ends_when_the_axes_are_done_or_safe_and_not_marked(done, safe, m
     found = []
 
     def look(until_ns, ended):
-        run.k.safe, run._end_marked = safe, marked
-        run.k.done = done
+        run.controllers.safe, run._end_marked = safe, marked
+        run.controllers.done = done
         found.append(ended())
-        run.k.done = True
+        run.controllers.done = True
         return True
 
-    run.look = look
+    run.advance = look
     run.make_safe()
     assert found == [looked]
 
@@ -257,7 +257,7 @@ def test_a_look_ends_when_the_axes_are_done_or_safe_and_not_marked(done, safe, m
 @pytest.mark.parametrize("safe_ns", [None, BEGIN_NS - 7])
 def test_the_end_is_marked_once_when_the_safe_state_began(trip, text, safe_ns):
     run = Virtual(BEGIN_NS, BEGIN_NS)
-    run.k.trip, run.k.safe_ns = trip, safe_ns
+    run.controllers.trip, run.controllers.safe_ns = trip, safe_ns
     run.mark_end()
     run.mark_end()
     assert run.marked == [(BEGIN_NS if safe_ns is None else safe_ns, text)]
@@ -268,10 +268,10 @@ def test_the_end_is_marked_once_when_the_safe_state_began(trip, text, safe_ns):
 )
 def test_phases_are_marked_up_to_now_or_to_the_safe_state(before, safe, due):
     run = Virtual(7, -1)
-    run.k.safe_ns = None if safe is None else BEGIN_NS + safe
+    run.controllers.safe_ns = None if safe is None else BEGIN_NS + safe
     run.mark_course(BEGIN_NS + before)
     assert run.marks.asked == [("begin", 0, 7), ("due", BEGIN_NS + due)]
-    assert run.marked == [(BEGIN_NS + due, "phase stroke")] + [(run.k.safe_ns, "safe")] * (safe is not None)
+    assert run.marked == [(BEGIN_NS + due, "phase stroke")] + [(run.controllers.safe_ns, "safe")] * (safe is not None)
 
 
 def test_without_a_recording_nothing_is_marked():
@@ -325,11 +325,13 @@ def test_a_run_without_a_file_has_no_figures(figured, tmp_path):
 
 
 def test_a_result_has_the_runs_own_fields_too(monkeypatch, tmp_path):
-    monkeypatch.setattr(run_sequence, "RunResult", SimpleNamespace(of=lambda *given, **named: (given, named)))
+    monkeypatch.setattr(
+        run_sequence, "RunResult", SimpleNamespace(from_controllers=lambda *given, **named: (given, named))
+    )
     run = Virtual(5, 6, path=tmp_path / "run.pcapng")
-    run.k.trip, run.losses = "SPEED", ("one",)
+    run.controllers.trip, run.losses = "SPEED", ("one",)
     given, named = run.result_of(Figures(["figures"], "abc"), seconds=3)
-    assert given == (run.k, ["figures"])
+    assert given == (run.controllers, ["figures"])
     assert named == {
         "record": run.path,
         "recording_sha256": "abc",
@@ -348,18 +350,18 @@ def test_a_result_has_the_runs_own_fields_too(monkeypatch, tmp_path):
 )
 def test_a_trip_ends_the_display_before_its_marker(trip, marked):
     run = Virtual(BEGIN_NS, BEGIN_NS)
-    run.k.safe_ns, run.k.trip = BEGIN_NS, trip
+    run.controllers.safe_ns, run.controllers.trip = BEGIN_NS, trip
     run.mark_course(BEGIN_NS + TICK_NS)
     assert [text for _, text in run.marked] == marked
 
 
 def test_a_trip_that_came_behind_the_safe_state_is_marked_once():
     run = Virtual(BEGIN_NS, BEGIN_NS)
-    run.k.safe_ns = BEGIN_NS
+    run.controllers.safe_ns = BEGIN_NS
     run.mark_end()
     run.t_ns += TICK_NS
     run.mark_trip()  # there is none yet
-    run.k.trip = "EMCY_BRAKE"
+    run.controllers.trip = "EMCY_BRAKE"
     run.mark_trip()
     run.mark_trip()
     assert run.marked == [(BEGIN_NS, "safe"), (BEGIN_NS + TICK_NS, "trip EMCY_BRAKE")]
@@ -367,7 +369,7 @@ def test_a_trip_that_came_behind_the_safe_state_is_marked_once():
 
 def test_a_trip_that_the_safe_state_has_is_not_marked_again():
     run = Virtual(BEGIN_NS, BEGIN_NS)
-    run.k.safe_ns, run.k.trip = BEGIN_NS, "EMCY_BRAKE"
+    run.controllers.safe_ns, run.controllers.trip = BEGIN_NS, "EMCY_BRAKE"
     run.mark_end()
     run.mark_trip()
     assert run.marked == [(BEGIN_NS, "trip EMCY_BRAKE")]

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.host.service.units import Service, files
+from coulombus.host.service.units import UnitSettings, files
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.rigs.rig import load_rig, packaged_rig
 from real_bench import children, host, result, simulation
@@ -27,7 +27,7 @@ EXPOSURE = 2.0
 
 def service(**more):
     known = {"program": ("/bin/true",), "rig": "bench", "bus": "socketcan:can0", "mode": "hybrid"}
-    return Service(**(known | {"bitrate_bit_s": 500_000, "ending_s": 7.0} | more))
+    return UnitSettings(**(known | {"bitrate_bit_s": 500_000, "ending_s": 7.0} | more))
 
 
 def typed(install):

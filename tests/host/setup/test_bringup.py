@@ -80,7 +80,7 @@ class Wire:
 
 def device_of(plan, client):
     """A device whose SDO client is the test's."""
-    device = bringup._Device(SimpleNamespace(sdo_timeout_s=0.1), plan, BusAnswers())
+    device = bringup._DeviceAccess(SimpleNamespace(sdo_timeout_s=0.1), plan, BusAnswers())
     device.client = client
     return device
 

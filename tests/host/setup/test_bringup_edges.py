@@ -157,7 +157,7 @@ def device_of(motor=MOTOR, *overrides, writes=None, read_backs=None):
     if read_backs is not None:
         object.__setattr__(plan, "read_backs", tuple(read_backs))
     wire = Wire(plan)
-    device = bringup._Device(wire, plan, BusAnswers())
+    device = bringup._DeviceAccess(wire, plan, BusAnswers())
     device.identity = (0x4C0, 0x402)
     return device, wire.devices[1]
 
@@ -172,7 +172,7 @@ def test_a_device_waits_as_long_as_the_rig_file_says_and_is_nobody_s_yet():
     with pytest.raises(NodeMissing):
         device.upload(0x6071, 0)
     assert server.log == [(1, "read", 0x6071, 0), ("wait", 125 * MS)]
-    assert bringup._Device(Wire(), device.plan, BusAnswers()).identity == (0, 0)
+    assert bringup._DeviceAccess(Wire(), device.plan, BusAnswers()).identity == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError
 
-from coulombus.host.run.arm_key import LOCK_NS, TRIES
+from coulombus.host.run.changes import LOCK_NS, TRIES
 from coulombus.monitor.web import WebError
 from coulombus.monitor.web.batch import IN_FLIGHT, unpacked
 from coulombus.monitor.web.page import QUESTIONS, RUBBISH, order_of

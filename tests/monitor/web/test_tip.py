@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
-from coulombus.host.run.law_ring import DIRECTIONS, law_ring
+from coulombus.host.run.law_curve import DIRECTIONS, law_ring
 from coulombus.monitor.web.batch import Flow, batch, unpacked
 from coulombus.monitor.web.capture import LiveCapture
 from coulombus.monitor.web.page_state import HostView
