@@ -125,7 +125,7 @@ class Axis(Sections):
     origin: Origin = Field(exclude=True)
 
     @classmethod
-    def of(
+    def from_sections(
         cls,
         sections: Sections,
         name: str,
@@ -146,7 +146,7 @@ class Axis(Sections):
     def from_origin(self, origin: Origin) -> Axis:
         """Return a copy with another origin."""
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
-        return Axis.of(self, self.name, descriptions, origin, self.allocation, joint=self.joint)
+        return Axis.from_sections(self, self.name, descriptions, origin, self.allocation, joint=self.joint)
 
     def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
         """Return whether sections and EDS files equal this axis' own, `NO_DEVICES` aside."""
@@ -160,7 +160,7 @@ class Axis(Sections):
         roles_set = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
         lean = self.model_copy(update={"role": Roles.model_validate(roles_set)})
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
-        return Axis.of(lean, self.name, descriptions, self.origin, joint=self.joint)
+        return Axis.from_sections(lean, self.name, descriptions, self.origin, joint=self.joint)
 
     @property
     def prefix(self) -> str:
@@ -211,15 +211,15 @@ class Axis(Sections):
         """Folder searched for a law's file before the current one: the rig file's, never a recording's."""
         return self.origin.law_folder or (Path() if self.origin.attached else Path(self.origin.path).parent)
 
-    def said(self, text: str) -> str:
+    def spell_keys(self, text: str) -> str:
         """Return `text` with its rig-file keys as the user wrote them: ``axis.NAME.limits.travel_rad`` if this axis has
         its own.
         """
-        return self.origin.source(self.name).said(text) if self.name else text
+        return self.origin.source(self.name).spell_keys(text) if self.name else text
 
     def refusal(self, key: str, text: str) -> RigError:
         """Return an error with the place of `key`, for later checks; `text` has the cause."""
-        return self._at(tuple(key.split(".")), self.origin.source(self.name).said(text))
+        return self._at(tuple(key.split(".")), self.origin.source(self.name).spell_keys(text))
 
     def _at(self, path: Key, text: str) -> RigError:
         source = self.origin.source(self.name)
@@ -236,7 +236,7 @@ class Axis(Sections):
         for part in path:
             value = value.get(part, {}) if isinstance(value, dict) else value[part]
         got = "by default" if value == {} else f"got '{shown(value)}'"
-        return self._at(path, f"{got}, expected {source.said(expected)}")
+        return self._at(path, f"{got}, expected {source.spell_keys(expected)}")
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)
@@ -258,4 +258,6 @@ def _reload(
 ) -> Axis:
     sections = Sections.model_validate(values)
     descriptions = (parse_eds(text.encode(), path) for path, text in eds_texts)
-    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint)
+    return Axis.from_sections(
+        sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint
+    )

@@ -43,7 +43,7 @@ class AxisParts:
     allocation: AxisPdos | None = None
 
     @classmethod
-    def of(
+    def from_values(
         cls,
         name: str,
         values: dict[str, Any],
@@ -78,4 +78,4 @@ class AxisParts:
     def axis(self, name: str, origin: Origin, *, joint: bool) -> Axis:
         """Return the axis; call only if nothing was refused."""
         assert self.sections is not None
-        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation, joint=joint)
+        return Axis.from_sections(self.sections, name, self.descriptions, origin, self.allocation, joint=joint)

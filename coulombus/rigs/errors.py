@@ -81,7 +81,7 @@ class Source:
         """Return `key` as the user wrote it, as a text."""
         return dotted(self.full(key))
 
-    def said(self, text: str) -> str:
+    def spell_keys(self, text: str) -> str:
         """Return `text` with its rig-file keys as the user wrote them."""
         return _KEY.sub(lambda match: self.spelled(tuple(match[0].split("."))), text) if self.axis else text
 
@@ -104,7 +104,7 @@ class Source:
         """Note an error of `key`; `text` follows the key's name."""
         place, where = self.where(key)
         self.wrong.add(key)
-        self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
+        self.found.append((place, f"{where}: {self.spelled(key)}: {self.spell_keys(text)}"))
 
     def stands(self, key: Key, value: Any, expected: str, choices: Iterable[str] = ()) -> None:
         """Note that `value` is not as `expected`."""

@@ -425,7 +425,7 @@ def _load(
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
     before = {axis.name: axis for axis in earlier}
     parts = [
-        AxisParts.of(name, axis_values, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        AxisParts.from_values(name, axis_values, sources[name], eds_texts, attached=attached, earlier=before.get(name))
         for name, axis_values in own_values.items()
     ]
     if named is not None:

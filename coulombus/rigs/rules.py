@@ -264,7 +264,7 @@ def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
 def remarks(values: Table, source: Source) -> tuple[str, ...]:
     """Return warnings for legal but unlikely values, with file:line."""
     texts = [
-        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(expected)}"
+        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.spell_keys(expected)}"
         for key, value, expected in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):

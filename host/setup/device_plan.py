@@ -129,7 +129,7 @@ class _Planner:
         reactions = reactions_of(self.axis, self.node, settable) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
             self._acknowledge(NO_REACTION, "its last set-point acts on after the loss of the host", self._acts)
-        spelled = self.axis.said
+        spelled = self.axis.spell_keys
         return DevicePlan(
             name=self.name,
             node_id=self.part.node_id,

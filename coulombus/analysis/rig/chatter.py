@@ -124,24 +124,24 @@ class Chatter:
         text = [f"{'':22}{'friction':>13}{'sure':>13}{'at':>8}{'wall':>16}{'at':>8}"]
         for name, quiet in rows:
             text.append(
-                f"{name:22}{_told(quiet.friction_Nm, 'Nm'):>13}{_told(quiet.sure_Nm, 'Nm'):>13}"
-                f"{_told(quiet.frequency_Hz, 'Hz', 3):>8}{_told(quiet.stiffness_Nm_rad, 'Nm/rad'):>16}"
-                f"{_told(quiet.wall_frequency_Hz, 'Hz', 3):>8}"
+                f"{name:22}{_quantity(quiet.friction_Nm, 'Nm'):>13}{_quantity(quiet.sure_Nm, 'Nm'):>13}"
+                f"{_quantity(quiet.frequency_Hz, 'Hz', 3):>8}{_quantity(quiet.stiffness_Nm_rad, 'Nm/rad'):>16}"
+                f"{_quantity(quiet.wall_frequency_Hz, 'Hz', 3):>8}"
             )
         if self.brake_Nm:
             name = f"a brake of {self.brake_Nm:g} Nm"
-            text.append(f"{name:22}{_told(self.brake_Nm + self.quiet.friction_Nm, 'Nm'):>13}")
+            text.append(f"{name:22}{_quantity(self.brake_Nm + self.quiet.friction_Nm, 'Nm'):>13}")
         b = self.bounds
         text += [
             "",
             "friction: the most that the motor alone displays before half of the taps start a limit cycle;",
             "sure: before any of them does; wall: a spring that is stable, exactly; at: frequency just above",
-            f"certified for any passive hand: a wall of {_told(min(b.colgate_Nm_rad, b.diolaiti_Nm_rad), 'Nm/rad')} (Colgate, Diolaiti)",
+            f"certified for any passive hand: a wall of {_quantity(min(b.colgate_Nm_rad, b.diolaiti_Nm_rad), 'Nm/rad')} (Colgate, Diolaiti)",
         ]
         return text
 
 
-def _told(value: float, unit: str, digits: int = 4) -> str:
+def _quantity(value: float, unit: str, digits: int = 4) -> str:
     if math.isnan(value):
         return "-"
     return "no bound" if math.isinf(value) else f"{value:.{digits}g} {unit}"

@@ -47,11 +47,11 @@ def known_figures(rig: Rig) -> dict[str, type]:
     """Return the figures of the runs of a rig; with several axes also those of each axis:
     ``axes.left.hold_counts_p2p``.
     """
-    return _known(rig.axis_names, rig.channels)
+    return _figure_types(rig.axis_names, rig.channels)
 
 
 @cache
-def _known(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]:
+def _figure_types(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]:
     of_axes = {f"axes.{name}.{figure}": FIGURES[figure] for name in names for figure in _OF_AXES}
     return {**FIGURES, **of_axes}
 

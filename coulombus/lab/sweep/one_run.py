@@ -24,7 +24,7 @@ from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["KEEP", "FinishedRun", "Job", "Keep", "RunRequest", "carry_out", "failed_row", "order_of", "warm_up"]
+__all__ = ["KEEP", "FinishedRun", "Job", "Keep", "RunRequest", "carry_out", "failed_row", "run_request", "warm_up"]
 
 Keep: TypeAlias = Literal["none", "failing", "all"]
 KEEP: tuple[Keep, ...] = ("none", "failing", "all")
@@ -43,7 +43,7 @@ class Job:
     keep: Keep = "none"
 
     @classmethod
-    def of(cls, sweep: Sweep, keep: Keep = "none") -> Job:
+    def from_sweep(cls, sweep: Sweep, keep: Keep = "none") -> Job:
         """Return the job of a sweep."""
         return cls(sweep.rig, sweep.seconds, sweep.vary, sweep.rates, keep)
 
@@ -76,7 +76,7 @@ class FinishedRun:
     recording: bytes | None = None
 
 
-def order_of(sweep: Sweep, run: int) -> RunRequest:
+def run_request(sweep: Sweep, run: int) -> RunRequest:
     """Return run number `run`: all modes of the first point, of the second ..."""
     point, mode = divmod(run, len(sweep.modes))
     return RunRequest(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])

@@ -296,7 +296,7 @@ def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition
             mistakes.say(("rates", name), "expected a name of letters, digits, _ and -")
             continue
         try:
-            conditions[name] = Condition.of(text, figures)
+            conditions[name] = Condition.from_text(text, figures)
         except ConditionError as error:
             mistakes.say(("rates", name), str(error))
     return conditions
@@ -305,7 +305,7 @@ def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition
 def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
     """Return the key with the rig's own value; a key of which the rig refuses every value is an error."""
     try:
-        whole = vary.on(_own(rig, vary.key))
+        whole = vary.on(_rig_value(rig, vary.key))
     except ValueError as error:
         mistakes.say(place, str(error))
         return vary
@@ -330,7 +330,7 @@ def _beside(key: str, lacking: tuple[str, ...]) -> str:
     return f"; give what is not varied of [{section}] beside [vary]: set = [{settings}]"
 
 
-def _own(rig: Rig, key: str) -> Any:
+def _rig_value(rig: Rig, key: str) -> Any:
     """Return the rig's own value of a key; None if absent or not a single value."""
     here: Any = read_toml(rig.effective()).values
     for part in split_key(key) or ():

@@ -20,7 +20,7 @@ __all__ = ["main"]
 
 
 def main(fd: int, parent: int) -> None:
-    """Execute orders until there are no more."""
+    """Execute requests until there are no more."""
     ignore()
     die_with_parent(parent)
     runs = threading.Thread(target=_carry_out, args=(fd,))  # outside the main thread, kernels do not delay signals

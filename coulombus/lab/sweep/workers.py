@@ -46,13 +46,13 @@ class _Worker:
             )
         self.line = Connection(ours.detach())
         self.ready = False
-        self.orders = deque[RunRequest]()
+        self.requests = deque[RunRequest]()
         with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
-    def take(self, request: RunRequest) -> None:
+    def send(self, request: RunRequest) -> None:
         """Send it a run."""
-        self.orders.append(request)
+        self.requests.append(request)
         with suppress(OSError):
             self.line.send(request)
 
@@ -67,7 +67,7 @@ class _Worker:
         return f"by {signal.Signals(-status).name}" if status < 0 else f"with exit status {status}"
 
 
-def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator[FinishedRun]:
+def on_processes(job: Job, requests: Iterable[RunRequest], count: int) -> Iterator[FinishedRun]:
     """Yield the results of the runs, by `count` local processes.
 
     If a process ends during a run (killed, out of memory), that run fails, and a new process continues.
@@ -79,7 +79,7 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
     OSError
         a recording cannot be written
     """
-    coming, waiting = iter(orders), deque[RunRequest]()
+    coming, waiting = iter(requests), deque[RunRequest]()
 
     def left() -> int:
         """Return the number of waiting runs; `count` + 1: perhaps more."""
@@ -101,8 +101,8 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                     stillborn += not worker.ready
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
-                    request = worker.orders.popleft() if worker.orders else None
-                    waiting.extendleft(reversed(worker.orders))
+                    request = worker.requests.popleft() if worker.requests else None
+                    waiting.extendleft(reversed(worker.requests))
                     if left():
                         workers.append(_Worker(job))
                     if request is not None:
@@ -112,10 +112,10 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                 if isinstance(answer, OSError):
                     raise answer
                 if answer is not None:
-                    worker.orders.popleft()
-                while left() and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
-                    worker.take(waiting.popleft())
-                if not worker.orders:
+                    worker.requests.popleft()
+                while left() and len(worker.requests) < (AHEAD if len(waiting) > len(workers) else 1):
+                    worker.send(waiting.popleft())
+                if not worker.requests:
                     worker.process.kill()  # its runs are over; the others' results do not wait for its end
                     worker.end()
                     workers.remove(worker)

@@ -102,9 +102,9 @@ class Draft:
         for device in self.devices:
             self._device(device)
         motor, brake, *sensors = self.devices
-        if not motor.own:
+        if not motor.is_own:
             describe_motor(self.text, motor)
-        if not brake.own:
+        if not brake.is_own:
             describe_brake(self.text, brake)
         describe_sensors(self.text, sensors)
         self._cycle(like.bus.period_s)
@@ -145,7 +145,7 @@ class Draft:
     def _device(self, device: DraftDevice) -> None:
         """Set the keys of every device; the project's own devices are copied from the packaged rig."""
         packaged = load_rig(OWN_RIG).one_axis()
-        if device.own:
+        if device.is_own:
             part = packaged.part(device.node).model_dump(by_alias=True, exclude_defaults=True)
             self._replace(device, part | {"node_id": device.node_id, "eds": device.eds})
             return
