@@ -102,7 +102,7 @@ def _reader(values: Mapping[tuple[int, int], int]) -> Callable[[int, int], int |
 
 def _refused(error: RigError) -> list[dict[str, str]]:
     """Return the errors of a rig file as problems: those of roles with their role, the others as their text."""
-    from coulombus.rigs.problem import Problem
+    from coulombus.rigs.errors import Problem
 
     problems = [problem._asdict() for problem in error.problems]
     texts = [text for text in error.errors if not any(problem["text"] in text for problem in problems)]

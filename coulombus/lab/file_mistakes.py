@@ -10,8 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from coulombus.rigs.errors import nearest, shown
 from coulombus.rigs.rig import Rig, RigError, load_rig
-from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import Document, Key, read_text, read_toml
+from coulombus.rigs.toml_lines import Document, Key, of_another_kind, read_text, read_toml
 from coulombus.sim_bus.faults.error_text import WANTED
 
 __all__ = ["FileMistakes", "read_checked", "rig_beside"]

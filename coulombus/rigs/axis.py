@@ -1,6 +1,7 @@
 """One axis of a rig: a motor and a brake on one handle, the host's model of them, and the law.
 
 Code that works per axis takes an `Axis`; buses, host and name belong to the `rigs.rig.Rig`. An axis is deeply frozen.
+`AxisParts` builds it from the rig file's values: sections, EDS files of its devices, their PDOs.
 """
 
 from __future__ import annotations
@@ -12,21 +13,24 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, ValidationError
 
 from coulombus.eds.reader import Description, parse_eds
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.errors import RigError, Source, shown
+from coulombus.rigs.field_help import explain, misspelt_sections
+from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.frozen_map import FrozenMap
-from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section
+from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section, WorldSection
 from coulombus.rigs.pdo_maps import AxisPdos, allocate
 from coulombus.rigs.plant import Operator, Phase, Plant
+from coulombus.rigs.rules import check, check_roles
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import Key, read_toml
-from coulombus.rigs.world_section import WorldSection
 
-__all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
+__all__ = ["NO_DEVICES", "Axis", "AxisParts", "Origin", "Sections", "Simulation"]
+
 
 NO_DEVICES = frozenset(("plant", "operator", "phases"))
 """Sections that describe neither the devices nor their set-up by the host."""
@@ -261,3 +265,64 @@ def _reload(
     return Axis.from_sections(
         sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint
     )
+
+
+class _Unnamed:
+    """An axis under check: its sections and the EDS files of its devices (`rigs.signals.Parts`)."""
+
+    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
+        self._sections, self._descriptions = sections, descriptions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sections, name)
+
+    def description(self, node: Node) -> Description:
+        """Return the EDS file of a device."""
+        return self._descriptions[node]
+
+
+@dataclass(frozen=True)
+class AxisParts:
+    """The parts of an axis; `sections` is None if they are refused."""
+
+    sections: Sections | None
+    descriptions: Mapping[Node, Description]
+    allocation: AxisPdos | None = None
+
+    @classmethod
+    def from_values(
+        cls,
+        name: str,
+        values: dict[str, Any],
+        source: Source,
+        eds_texts: Mapping[str, str] | None,
+        *,
+        attached: bool,
+        earlier: Axis | None,
+    ) -> AxisParts:
+        """Validate the values of one axis; errors are noted in `source`."""
+        read_schedules(values, source, attached=attached)
+        misspelt_sections(values, Sections, source)
+        sections: Sections | None = None
+        try:
+            sections = Sections.model_validate(values)
+        except ValidationError as error:
+            explain(error, values, Sections, source)
+        check(values, source)
+        descriptions = read_descriptions(values, source, eds_texts, f"{name}." if name else "")
+        allocation = None
+        if sections is not None and len(descriptions) == len(sections.devices):
+            if earlier is not None and earlier.has_devices_of(sections, descriptions):
+                allocation = earlier.allocation
+            else:
+                parts = _Unnamed(sections, descriptions)
+                allocation = allocate(parts, f"{name}." if name else "")
+                check_roles(allocation.problems, parts, values, source)
+        if sections is None and not source.found:
+            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
+        return cls(sections, descriptions, allocation)
+
+    def axis(self, name: str, origin: Origin, *, joint: bool) -> Axis:
+        """Return the axis; call only if nothing was refused."""
+        assert self.sections is not None
+        return Axis.from_sections(self.sections, name, self.descriptions, origin, self.allocation, joint=joint)

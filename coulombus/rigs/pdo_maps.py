@@ -20,9 +20,9 @@ from coulombus.eds.pdo import COMMUNICATION, PDO_BITS, Entry, PdoLayout
 from coulombus.eds.reader import Description
 from coulombus.rigs.deadman_object import bind_switch
 from coulombus.rigs.devices import Brake, Motor, drive_axis_of
+from coulombus.rigs.errors import Problem
 from coulombus.rigs.model import to_ns
 from coulombus.rigs.pdo_records import ON_SYNC, PdoParameters, records_of, writable
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import Binding, Bound, bind
 from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
 

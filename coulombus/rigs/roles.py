@@ -34,9 +34,9 @@ from coulombus.eds.drive_scale import VELOCITY_UNIT, defaults, velocity_unit
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.eds.units import BLOCK_UNITS, NOTATION
-from coulombus.rigs.accepted_mapping import mapping_sentence
 from coulombus.rigs.devices import BrakeRole, Role, drive_axis_of
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.errors import Problem
+from coulombus.rigs.pdo_records import mapping_sentence
 from coulombus.rigs.signals import Direction, Node, Parts
 
 __all__ = [

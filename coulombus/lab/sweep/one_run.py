@@ -18,8 +18,7 @@ from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.simulate import virtual_run
 from coulombus.lab.sweep.expressions import Condition
 from coulombus.lab.sweep.figures import Value, figures_of, known_figures
-from coulombus.lab.sweep.points import seed_of
-from coulombus.lab.sweep.ranges import Vary
+from coulombus.lab.sweep.ranges import Vary, seed_of
 from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError

@@ -35,8 +35,7 @@ from coulombus.host.laws.law_source import law_attachments
 from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
 from coulombus.lab.sweep.expressions import Condition, ConditionError
 from coulombus.lab.sweep.figures import known_figures
-from coulombus.lab.sweep.points import points
-from coulombus.lab.sweep.ranges import Vary
+from coulombus.lab.sweep.ranges import Vary, points
 from coulombus.recording.recorder import project_version
 from coulombus.rigs.errors import nearest, shown, toml_value
 from coulombus.rigs.rig import Rig, RigError

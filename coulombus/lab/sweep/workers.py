@@ -1,6 +1,10 @@
 """Workers of a sweep: local processes.
 
 They yield the result of each run on completion, in any order; the numbers do not depend on the worker.
+
+A worker is this module as a program: ``python -m coulombus.lab.sweep.workers FD PARENT``, with an open socket. It receives
+the job, then one request after another, and returns the result of each. It has a separate session, without the
+terminal's signals, and ends with its parent.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -17,11 +22,14 @@ from itertools import islice
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, failed_row
+from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, carry_out, failed_row, warm_up
+from coulombus.system.realtime import die_with_parent
+from coulombus.system.stop_signals import ignore
 
 __all__ = ["on_processes"]
 
-MODULE = "coulombus.lab.sweep.worker"
+
+MODULE = "coulombus.lab.sweep.workers"
 AHEAD = 2
 """Runs that a local process has at a time: it goes on while this process writes the table."""
 MOST_STARTS = 3
@@ -125,3 +133,34 @@ def on_processes(job: Job, requests: Iterable[RunRequest], count: int) -> Iterat
         for worker in workers:
             worker.process.kill()
             worker.end()
+
+
+def main(fd: int, parent: int) -> None:
+    """Execute requests until there are no more."""
+    ignore()
+    die_with_parent(parent)
+    runs = threading.Thread(target=_carry_out, args=(fd,))  # outside the main thread, kernels do not delay signals
+    runs.start()
+    runs.join()
+
+
+def _carry_out(fd: int) -> None:
+    with Connection(fd) as line:
+        job = line.recv()
+        assert isinstance(job, Job)
+        warm_up(job)
+        line.send(None)
+        while True:
+            try:
+                request = line.recv()
+            except EOFError:
+                return
+            assert isinstance(request, RunRequest)
+            try:
+                line.send(carry_out(job, request))
+            except OSError as error:  # of the recording: the parent ends the sweep
+                line.send(error)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -8,8 +8,7 @@ from coulombus.eds.units import BLOCK_UNITS
 from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.draft_text import RigText
 from coulombus.rigs.draft.motor import command_of, describe_mode
-from coulombus.rigs.errors import RigError
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.errors import Problem, RigError
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, UNITS, profile_of
 
 __all__ = ["describe_brake", "describe_sensors"]

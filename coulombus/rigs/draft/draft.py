@@ -13,15 +13,14 @@ from dataclasses import replace
 from typing import Any
 
 from coulombus.eds.drive_axis import PROFILE_OBJECTS, axis_of
-from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
 from coulombus.rigs.draft.device import DraftDevice
 from coulombus.rigs.draft.draft_text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.draft.motor import describe_motor
-from coulombus.rigs.errors import RigError
+from coulombus.rigs.errors import Problem, RigError
+from coulombus.rigs.pdo_records import with_accepted
 from coulombus.rigs.plan.rig_plan import plans
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text
 from coulombus.rigs.roles import ROLES
 from coulombus.system.foreign_text import one_line

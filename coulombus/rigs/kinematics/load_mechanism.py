@@ -30,8 +30,7 @@ import numpy as np
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable
 from coulombus.kernels.records import RecordArray, dtype_of, new_records
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
-from coulombus.rigs.kinematics.mechanism_records import MechanismFunction, MechanismRecord, PoseRecord
-from coulombus.rigs.kinematics.mechanisms import MECHANISMS
+from coulombus.rigs.kinematics.mechanisms import MECHANISMS, MechanismFunction, MechanismRecord, PoseRecord
 from coulombus.rigs.kinematics.pose_kernels import locate
 
 import numba  # isort: skip  (after kernels.decorator, which names the cache directory)

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from coulombus.eds.cia301 import CobId
-from coulombus.rigs.guarding import is_guarded
+from coulombus.rigs.device_services import is_guarded
 from coulombus.rigs.model import CIA_301_BIT_RATES, to_ns
 from coulombus.rigs.plan.response_times import NO_ERRORS, Errors, Message, Response, bit_ns, response_times, utilisation
 from coulombus.rigs.plan.worst_cycle import Cycle, Timing, worst_cycle

@@ -13,8 +13,7 @@ from coulombus.lab.study.observer import Observer, levels
 from coulombus.lab.study.results.fit import LEAST_TRIALS
 from coulombus.lab.study.results.pictures import write_figures
 from coulombus.lab.study.results.report import _mixed, _study_of, report
-from coulombus.lab.study.results.report_markdown import page
-from coulombus.lab.study.results.report_text import lines
+from coulombus.lab.study.results.report_text import lines, page
 from coulombus.lab.study.results.staircase import staircases
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
