@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from coulombus.host.setup.device_plan import DevicePlan
     from coulombus.host.setup.host_loss import Reaction
     from coulombus.rigs.errors import RigError
-    from coulombus.rigs.plan.rig_plan import Plan
+    from coulombus.rigs.plan.rig_plan import RigPlan
     from coulombus.rigs.rig import Rig
 
 __all__ = ["check"]
@@ -145,7 +145,7 @@ class _Findings:
         from coulombus.rigs.plan.rig_plan import plans
 
         self.rig = rig
-        self.buses: dict[str, Plan] = plans(rig)
+        self.buses: dict[str, RigPlan] = plans(rig)
         self.fits = all(planned.fits for planned in self.buses.values())
         unfit = (planned for planned in self.buses.values() if not planned.fits)
         self.planned = next(unfit, self.buses[rig.channels[0]])

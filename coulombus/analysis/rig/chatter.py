@@ -31,7 +31,7 @@ from scipy.linalg import expm
 from coulombus.analysis.rig.maps import Floats, LoopParameters, oscillation_map
 from coulombus.analysis.theory.bounds import Bounds, bounds
 
-__all__ = ["Chatter", "Curve", "Quiet", "chatter", "device"]
+__all__ = ["Chatter", "Quiet", "QuietCurve", "chatter", "device"]
 
 TAPS, SLOWEST_COUNTS, FASTEST_COUNTS = 32, 1.5, 60.0
 """Taps, and the speed after the slowest and the fastest of them, in counts a sample of the device."""
@@ -70,7 +70,7 @@ class Quiet:
 
 
 @dataclass(frozen=True)
-class Curve:
+class QuietCurve:
     """Quiet friction [Nm] over the rate [Hz], for one encoder."""
 
     name: str
@@ -88,7 +88,7 @@ class Chatter:
     bounds: Bounds
     """Of the literature, for the wall of `quiet`."""
     brake_Nm: float
-    curves: tuple[Curve, ...]
+    curves: tuple[QuietCurve, ...]
     """Empty unless they were asked for."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -245,7 +245,7 @@ def chatter(
             other = replace(loop, rate_Hz=loop.rate_Hz * factor, count_rad=loop.count_rad / finer)
             levels.append(_friction(other)[0])
             step()
-        by_encoder.append(Curve(name, loop.rate_Hz * RATES, np.array(levels)))
+        by_encoder.append(QuietCurve(name, loop.rate_Hz * RATES, np.array(levels)))
     literature = bounds(
         quiet.stiffness_Nm_rad if math.isfinite(quiet.stiffness_Nm_rad) else 0.0,
         loop.viscous_Nms_rad,

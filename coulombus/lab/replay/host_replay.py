@@ -34,7 +34,7 @@ from coulombus.rigs.signals import RigPdo
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
-__all__ = ["Difference", "HostReplay", "ReplayError", "host_replay"]
+__all__ = ["HostReplay", "ReplayDifference", "ReplayError", "host_replay"]
 
 
 class ReplayError(CoulombusError):
@@ -44,7 +44,7 @@ class ReplayError(CoulombusError):
 
 
 @dataclass(frozen=True)
-class Difference:
+class ReplayDifference:
     """The first frame that differs; `recorded` or `computed` is None if missing."""
 
     t_s: float
@@ -71,7 +71,7 @@ class HostReplay:
     """Frames that the step sent and the bus refused: they are not in the recording."""
     unchecked: int = 0
     """Recorded frames after the trace's end: the recording process was killed, or the file is torn."""
-    difference: Difference | None = None
+    difference: ReplayDifference | None = None
     rms: dict[str, float] | None = None
     """With overrides: RMS difference of each commanded signal [its unit]."""
     judged: bool = True
@@ -323,7 +323,7 @@ class _Check:
         values = [_values(pdo, payload) for payload in (recorded, computed)]
         signals = {name: (values[0].get(name), values[1].get(name)) for name in values[0] | values[1]}
         t_s = (t_ns - self.recording.epoch_ns) / 1e9
-        self.result.difference = Difference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
+        self.result.difference = ReplayDifference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
 
     def _rms(self) -> dict[str, float]:
         rms = {}

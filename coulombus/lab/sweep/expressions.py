@@ -18,7 +18,7 @@ from typing import Any
 from coulombus.rigs.errors import nearest
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["Condition", "ConditionError"]
+__all__ = ["ConditionError", "RunCondition"]
 
 LONGEST, DEEPEST, LARGEST = 500, 40, 1e300
 _ORDERS: Mapping[type, Callable[[Any, Any], bool]] = {
@@ -44,13 +44,13 @@ class ConditionError(CoulombusError, ValueError):
 
 
 @dataclass(frozen=True)
-class Condition:
+class RunCondition:
     """A checked condition."""
 
     text: str
 
     @classmethod
-    def from_text(cls, text: str, figures: Mapping[str, type]) -> Condition:
+    def from_text(cls, text: str, figures: Mapping[str, type]) -> RunCondition:
         """Return the condition `text` over `figures`.
 
         Raises

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.simulate import virtual_run
-from coulombus.lab.sweep.expressions import Condition
+from coulombus.lab.sweep.expressions import RunCondition
 from coulombus.lab.sweep.figures import Value, figures_of, known_figures
 from coulombus.lab.sweep.ranges import Vary, seed_of
 from coulombus.lab.sweep.sweep_file import Sweep
@@ -38,7 +38,7 @@ class Job:
     rig: Rig
     seconds: float | None
     vary: tuple[Vary, ...]
-    rates: Mapping[str, Condition]
+    rates: Mapping[str, RunCondition]
     keep: Keep = "none"
 
     @classmethod

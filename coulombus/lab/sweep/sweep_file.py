@@ -29,11 +29,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from coulombus.host.laws.law_source import law_attachments
-from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
-from coulombus.lab.sweep.expressions import Condition, ConditionError
+from coulombus.lab.file_mistakes import FileMistakes, StrictTable, read_checked, rig_beside
+from coulombus.lab.sweep.expressions import ConditionError, RunCondition
 from coulombus.lab.sweep.figures import known_figures
 from coulombus.lab.sweep.ranges import Vary, points
 from coulombus.recording.recorder import project_version
@@ -63,15 +63,11 @@ class SweepError(CoulombusError, ValueError):
     exit_status = 3
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Choice(_Strict):
+class _Choice(StrictTable):
     values: list[Any] = Field(min_length=1, max_length=10_000)
 
 
-class _Range(_Strict):
+class _Range(StrictTable):
     low: float
     high: float
     scale: Literal["linear", "log"] = "linear"
@@ -81,7 +77,7 @@ class _Range(_Strict):
 _Mode = Literal["active", "passive", "hybrid"]
 
 
-class _File(_Strict):
+class _SweepFile(StrictTable):
     rig: str = Field("bench", min_length=1)
     mode: _Mode | None = None
     modes: Annotated[list[_Mode], Field(min_length=1)] | None = None
@@ -89,9 +85,9 @@ class _File(_Strict):
     seed: int = Field(0, ge=0, lt=2**62)
     design: Literal["grid", "latin_hypercube", "sobol", "random"]
     runs: int | None = Field(None, ge=1, le=MOST_RUNS)
-    set: list[str] = []
-    vary: dict[str, Any] = {}
-    rates: dict[str, str] = {}
+    set: list[str] = Field([])
+    vary: dict[str, Any] = Field({})
+    rates: dict[str, str] = Field({})
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ class Sweep:
     design: str
     vary: tuple[Vary, ...]
     points: tuple[tuple[Any, ...], ...]
-    rates: Mapping[str, Condition]
+    rates: Mapping[str, RunCondition]
 
     @property
     def runs(self) -> int:
@@ -152,7 +148,7 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
         the rig file has an error
     """
     path = Path(path)
-    text, file, mistakes = read_checked(path, "sweep", _File, SweepError)
+    text, file, mistakes = read_checked(path, "sweep", _SweepFile, SweepError)
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)
     mistakes.raise_all()
@@ -178,7 +174,7 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
     )
 
 
-def _with_settings(rig: Rig, file: _File, mistakes: FileMistakes) -> Rig:
+def _with_settings(rig: Rig, file: _SweepFile, mistakes: FileMistakes) -> Rig:
     """Return the rig with the file's settings; the keys of `set` are applied together."""
     if not file.set:
         return rig
@@ -205,7 +201,7 @@ def _is_leaf(value: Mapping[str, Any]) -> bool:
     return any(nearest(name, LEAF) and not isinstance(entry, Mapping) for name, entry in value.items())
 
 
-def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
+def _vary(file: _SweepFile, mistakes: FileMistakes) -> dict[Key, Vary]:
     variations: dict[Key, Vary] = {}
     for place, value in _leaves(file.vary):
         key = ".".join(str(part) for part in place[1:])
@@ -255,7 +251,7 @@ def _leaf(place: Key, key: str, table: Mapping[str, Any], mistakes: FileMistakes
     )
 
 
-def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes) -> None:
+def _check_design(file: _SweepFile, vary: Mapping[Key, Vary], mistakes: FileMistakes) -> None:
     for design, key, text in CONTRADICTIONS:
         if file.design == design and (not file.vary if key is None else getattr(file, key) is not None):
             mistakes.say(("design",) if key is None else (key,), text)
@@ -275,7 +271,7 @@ def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes)
         mistakes.say(("vary",), f"a grid of {size} points; expected at most {MOST_RUNS}")
 
 
-def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
+def _modes(file: _SweepFile, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     if file.mode is not None and file.modes is not None:
         mistakes.say(("modes",), "mode is given there, too; expected either")
     modes = tuple(file.modes or (file.mode or "hybrid",))
@@ -288,14 +284,14 @@ def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     return modes
 
 
-def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition]:
+def _rates(file: _SweepFile, rig: Rig, mistakes: FileMistakes) -> dict[str, RunCondition]:
     figures, conditions = known_figures(rig), {}
     for name, text in file.rates.items():
         if not RATE_NAME.fullmatch(name):
             mistakes.say(("rates", name), "expected a name of letters, digits, _ and -")
             continue
         try:
-            conditions[name] = Condition.from_text(text, figures)
+            conditions[name] = RunCondition.from_text(text, figures)
         except ConditionError as error:
             mistakes.say(("rates", name), str(error))
     return conditions

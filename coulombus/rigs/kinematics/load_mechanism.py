@@ -72,7 +72,7 @@ class Mechanism:
         return pose
 
 
-class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
+class _MechanismPointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
     """A compiled mechanism as a function pointer of one signature."""
 
     def signature(self) -> Any:
@@ -107,7 +107,7 @@ def compile_mechanism(function: Callable[..., Any], *, guarded: bool) -> Mechani
     else:
         dispatcher = numba.njit(cache=cacheable(function), **options)(function)
         dispatcher.compile(_signature().args)
-    pointer: MechanismFunction = _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
+    pointer: MechanismFunction = _MechanismPointer(dispatcher.overloads[dispatcher.signatures[0]])
     return pointer
 
 

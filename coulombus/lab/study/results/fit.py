@@ -41,7 +41,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri, xlogy
 from scipy.stats import chi2
 
-from coulombus.lab.study.results.posterior import Answers, Posterior, counted, orders, posterior, sigma_of_lapses
+from coulombus.lab.study.results.posterior import CountedAnswers, Posterior, counted, orders, posterior, sigma_of_lapses
 
 __all__ = ["LEAST_TRIALS", "Fit", "Magnitudes", "fit_answers", "fit_comparisons", "fit_magnitudes"]
 
@@ -204,7 +204,7 @@ def fit_magnitudes(levels: Sequence[float], answers: Sequence[float]) -> Magnitu
     return Magnitudes(int(counted.sum()), float(line.slope), (float(line.slope) - half, float(line.slope) + half))
 
 
-def _goodness(answers: Answers, lapse: float) -> tuple[float, float, float]:
+def _goodness(answers: CountedAnswers, lapse: float) -> tuple[float, float, float]:
     """Return deviance, its probability and the overdispersion; the lapse rate is given.
 
     The same answers give the same bytes: the simulation has a seed of its own.
