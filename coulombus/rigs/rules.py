@@ -20,7 +20,7 @@ from coulombus.rigs.files import COLUMNS
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
 from coulombus.rigs.plant_detail import MOST_ELEMENTS
 from coulombus.rigs.signals import Parts
-from coulombus.rigs.toml_lines import Key, Table
+from coulombus.rigs.toml_lines import Key, Table, value_at
 
 __all__ = ["check", "check_roles", "remarks"]
 
@@ -158,7 +158,7 @@ def _check_witness(values: Table, source: Source) -> None:
     scale = ("role", "position", "scale_rad")
     if any(source.is_wrong(key) for key in (*keys, scale)):
         return
-    measured, counts, ratio, angle = (_value(values, key) for key in (*keys, scale))
+    measured, counts, ratio, angle = (value_at(values, key) for key in (*keys, scale))
     if measured is None or counts is None or ratio is None:
         return
     believed, by = counts * ratio, "motor.encoder_counts_rev x mechanics.ratio"
@@ -186,17 +186,9 @@ def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Itera
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
-        operands = [_value(values, key) for key in rule.keys]
+        operands = [value_at(values, key) for key in rule.keys]
         if None not in operands and not rule.holds(*operands):
             yield rule.keys[0], operands[0], rule.expected.format(*map(shown, operands))
-
-
-def _value(values: Table, key: Key) -> Any:
-    """Return the value of a key, or None."""
-    value: Any = values
-    for part in key:
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
 
 
 def check(values: Table, source: Source) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,17 @@ from typing import Any, NamedTuple, TypeAlias
 
 from coulombus.eds.regular_file import read_regular
 
-__all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "of_another_kind", "read_text", "read_toml", "split_key"]
+__all__ = [
+    "MOST_CHARACTERS",
+    "Document",
+    "Key",
+    "Table",
+    "of_another_kind",
+    "read_text",
+    "read_toml",
+    "split_key",
+    "value_at",
+]
 
 
 Key: TypeAlias = tuple[str | int, ...]
@@ -100,6 +110,14 @@ def split_key(dotted: str) -> list[str] | None:
     if not re.fullmatch(rf"\s*{_DOTTED}\s*", dotted):
         return None
     return [part[1:-1] if part[0] in "\"'" else part for part in re.findall(_PART, dotted)]
+
+
+def value_at(values: Mapping[str, Any], key: Iterable[str | int]) -> Any:
+    """Return the value of a key within tables; None if absent."""
+    value: Any = values
+    for part in key:
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def _excess(text: str) -> tuple[int, str] | None:
