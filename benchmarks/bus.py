@@ -92,14 +92,14 @@ def long_run(show: Callable[..., None], hours: float) -> None:
     """Show the memory hour by hour of one run of so many hours of bus time."""
     sizes: list[int] = []
 
-    def look(t_s: float) -> None:
+    def report(t_s: float) -> None:
         if t_s >= HOUR_S * (len(sizes) + 1):
             sizes.append(resident_bytes())
             cpu = time.process_time() - begin
             show(f"... hour {len(sizes)}: memory", f"{sizes[-1] / 2**20:.0f} MiB", f"{cpu:.0f} s of CPU so far")
 
     begin = time.process_time()
-    result = simulate("bench", "hybrid", hours * HOUR_S, progress=look, measured=False)
+    result = simulate("bench", "hybrid", hours * HOUR_S, progress=report, measured=False)
     taken = time.process_time() - begin
     came_to = f"{result.trip or 'no trip'}, {result.lost_pdos} PDOs lost"
     show(f"{hours:g} hours of bus time in one run", f"{hours * HOUR_S / taken:.0f} x", came_to)

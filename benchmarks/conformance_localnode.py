@@ -40,7 +40,7 @@ def compare(bus: str, eds: Path) -> Report:
         with BusLink(address) as link:
             unit = Unit(link, read_eds(eds), NODE_ID, Timing.of(0.3))
             check_before(unit, force=True)
-            report = run(unit, select(()), lambda n, case: _tell(n, case))
+            report = run(unit, select(()), lambda n, case: _show(n, case))
         if report.ended_by is not None:
             raise report.ended_by
         return report
@@ -48,7 +48,7 @@ def compare(bus: str, eds: Path) -> Report:
         network.disconnect()
 
 
-def _tell(n: int, case: Case) -> None:
+def _show(n: int, case: Case) -> None:
     print(f"\r{n:4d} {case.id:6s} {case.name[:60]:60s}", end="", file=sys.stderr, flush=True)
 
 

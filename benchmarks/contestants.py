@@ -266,7 +266,7 @@ def twin(program: Path, bus: Bus, seconds: float) -> Run:
             text=True,
             pass_fds=(client.fileno(),),
         )
-    return _told(out.stdout)
+    return _run(out.stdout)
 
 
 def classic(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
@@ -289,13 +289,13 @@ def classic(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
         text=True,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     )
-    run = _told(out.stdout)
+    run = _run(out.stdout)
     if loaded:
         run.cpu_us = None  # the threads that disturb are in it
     return run
 
 
-def _told(line: str) -> Run:
+def _run(line: str) -> Run:
     figures = json.loads(line)
     return Run(
         dense(figures["wakeup"]),

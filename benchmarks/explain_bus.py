@@ -99,7 +99,7 @@ class Machine:
         """Read an object of at most four bytes."""
         return self.ask(number, bytes((0x40, index & 0xFF, index >> 8, subindex, 0, 0, 0, 0)))
 
-    def order(self, command: NmtCommand, number: int = 0) -> None:
+    def send_nmt(self, command: NmtCommand, number: int = 0) -> None:
         """Send an NMT command."""
         self.master.send(0x000, bytes((command, number)))
         if self.due_ns:
@@ -111,10 +111,10 @@ class Machine:
         """Switch on, configure, start, enable."""
         self.network.power_on()
         self.network.wait_ns(30 * MS)
-        self.order(NmtCommand.ENTER_PRE_OPERATIONAL)
+        self.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         for number in self.ids:
             self.configure(number)
-        self.order(NmtCommand.START)
+        self.send_nmt(NmtCommand.START)
         self.due_ns = self.network.t_ns + 2 * MS
         self.next_beat = self.network.t_ns
         for word in ENABLE:
@@ -182,7 +182,7 @@ class Machine:
         for word in (0x06, 0x00):
             self.words = dict.fromkeys(self.ids, word)
             self.run(30)
-        self.order(NmtCommand.ENTER_PRE_OPERATIONAL)
+        self.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         self.run(20)
 
     # what is done to a node

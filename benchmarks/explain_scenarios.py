@@ -35,7 +35,7 @@ def _again(machine: Machine, node: int) -> None:
     machine.run(30)
     machine.configure(node)
     machine.words[node] = 0
-    machine.order(NmtCommand.START, node)
+    machine.send_nmt(NmtCommand.START, node)
     machine.commanded.add(node)
     for word in (CLEAR, 0x06, 0x07, 0x0F):
         machine.words[node] = word
@@ -242,7 +242,7 @@ def reset_in_vain(machine: Machine, node: int) -> Truth:
     machine.commanded.discard(node)
     for _ in range(machine.dice.randint(1, 4)):
         machine.run(machine.dice.choice((15, 60, 300)))
-        machine.order(NmtCommand.RESET_NODE, node)
+        machine.send_nmt(NmtCommand.RESET_NODE, node)
     machine.run(BOOT_MS)
     return truth_of("node_lost", node, "unresolved", "node")
 

@@ -72,8 +72,8 @@ class Account:
         """Take a frame that the witness has heard."""
         self.heard.append((frame.t_ns, frame.can_id, frame.length, data_word(frame.data)))
 
-    def take(self, rows: Any) -> None:
-        """Take a batch of the recording, up to the same instant."""
+    def compare(self, rows: Any) -> None:
+        """Compare with a batch of the recording, up to the same instant."""
         recorded = [row[:4] for row in rows.tolist()]
         good = [row for row in recorded if not row[1] & CAN_ERR_FLAG]
         self.differ += sum(a != b for a, b in zip(good, self.heard, strict=False)) + abs(len(good) - len(self.heard))
@@ -116,12 +116,12 @@ def account(
         world.injection._on_fault = strike
         write: Callable[[Any], None] | None = world.on_frames
 
-        def take(rows: Any) -> None:
-            ledger.take(rows)
+        def compare(rows: Any) -> None:
+            ledger.compare(rows)
             if write is not None:
                 write(rows)
 
-        world.on_frames = take
+        world.on_frames = compare
 
     faults = directory / "noise.toml"
     faults.write_text(NOISE, encoding="utf-8")

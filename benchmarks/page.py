@@ -93,10 +93,10 @@ def page(show: Callable[..., None]) -> None:
         reader = started(stack, "-c", READER)
         times: list[tuple[float, float, float]] = []
 
-        def look() -> None:
+        def sample() -> None:
             times.append((time.monotonic(), processor_s(server.pid), processor_s(reader.pid)))
 
-        drawn, how = asyncio.run(frames_per_s(url, look))
+        drawn, how = asyncio.run(frames_per_s(url, sample))
     (begin, served, read), (end, served_end, read_end) = times
     share, reference = (served_end - served) / (end - begin), (read_end - read) / (end - begin)
     load = os.getloadavg()[0]

@@ -62,7 +62,7 @@ def ratio(ours: Sequence[float], theirs: Sequence[float]) -> str:
     return f"{median(a / b for a, b in zip(ours, theirs, strict=True)):.2f} x"
 
 
-def of(count: int, total: int) -> str:
+def percentage(count: int, total: int) -> str:
     return f"{100 * count / max(total, 1):.3f} %"
 
 
@@ -83,8 +83,8 @@ def table(runs: dict[str, list[Run]]) -> None:
             if has_cpu
             else f"{'':>8}"
         )
-        row += f"{of(all_of.late_cycles, all_of.cycles):>11}{of(all_of.missed, all_of.cycles + all_of.missed):>14}"
-        row += f"{of(all_of.incomplete, all_of.cycles):>14}" if all_of.latency.any() else ""
+        row += f"{percentage(all_of.late_cycles, all_of.cycles):>11}{percentage(all_of.missed, all_of.cycles + all_of.missed):>14}"
+        row += f"{percentage(all_of.incomplete, all_of.cycles):>14}" if all_of.latency.any() else ""
         print(row)
     print(
         "wake-ups in units of cyclictest's p99, CPU in units of the twin's; 'late' cycles were not done in their period\n"

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.size import size
 from coulombus.lab.set_up import set_up
-from coulombus.lab.sweep.one_run import Job, carry_out, order_of
+from coulombus.lab.sweep.one_run import Job, carry_out, run_request
 from coulombus.lab.sweep.sweep_file import read_sweep
 from coulombus.lab.sweep.workers import on_processes
 from coulombus.rigs.rig import load_rig
@@ -49,16 +49,16 @@ def sweep(show: Callable[..., None]) -> None:
         path = Path(folder) / "sweep.toml"
         path.write_text(FILE)
         swept = read_sweep(path)
-    job = Job.of(swept)
-    orders = [order_of(swept, run) for run in range(swept.runs)]
+    job = Job.from_sweep(swept)
+    requests = [run_request(swept, run) for run in range(swept.runs)]
     world = VirtualRig(load_rig("bench"), "hybrid")
     set_up(world)
     world.start_host()
     world.wait_ns(2_000_000_000)
-    carry_out(job, orders[0])
+    carry_out(job, requests[0])
     runs, cycles = [], []
     for k in range(ROUNDS):
-        runs.append(carry_out(job, orders[k]).cpu_s)
+        runs.append(carry_out(job, requests[k]).cpu_s)
         begin = time.thread_time()
         world.wait_ns(round(DISPLAY_S * 1e9))
         cycles.append(time.thread_time() - begin)
@@ -70,7 +70,7 @@ def sweep(show: Callable[..., None]) -> None:
         [DISPLAY_S / s for s in runs],
     )
     show("... as a multiple of its cycles alone", f"{run_s / cycles_s:.1f} x")
-    alone, one, alone_two, two = _cycling(1), _lasting(job, orders, 1), _cycling(2), _lasting(job, orders, 2)
+    alone, one, alone_two, two = _cycling(1), _lasting(job, requests, 1), _cycling(2), _lasting(job, requests, 2)
     show(f"{SCALED_RUNS} runs by two processes against one", f"{one / two:.2f} x", "at least 1.9 x on two idle cores")
     show("... the same cycles by each of two processes", f"{2 * alone / alone_two:.2f} x", "what the processors give")
 
@@ -109,10 +109,10 @@ def _cycling(count: int) -> float:
         return max(float(out.readline()) for _, out in pipes if out is not None)
 
 
-def _lasting(job: Job, orders: list, count: int) -> float:
+def _lasting(job: Job, requests: list, count: int) -> float:
     """Return how long the runs take once the processes have all begun [s]."""
     begin = None
-    for done in on_processes(job, orders, count):
+    for done in on_processes(job, requests, count):
         begin = begin if begin is not None else time.perf_counter()
         assert done.row["error"] is None
     return time.perf_counter() - (begin or 0.0)

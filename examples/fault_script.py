@@ -24,15 +24,17 @@ def main() -> None:
         off_ns.append(world.t_ns)
         world.power_off(MOTOR)
 
-    def look(world: VirtualRig) -> None:
+    def wait_for_display(world: VirtualRig) -> None:
         """When the schedule begins is not known beforehand: look every millisecond until it has."""
         if world.enabled_ns is None:
-            world.at(world.t_ns + MS, look)
+            world.at(world.t_ns + MS, wait_for_display)
         else:
             world.at(world.enabled_ns + AFTER_ENABLED_NS, power_off)
 
     path = Path("fault.pcapng")
-    result = simulate("bench", "hybrid", 13.0, record=path, script=lambda world: world.at(MS, look), force=True)
+    result = simulate(
+        "bench", "hybrid", 13.0, record=path, script=lambda world: world.at(MS, wait_for_display), force=True
+    )
     print(f"exit status {result.exit_status}: {result.trip}")
 
     recording = read(path)

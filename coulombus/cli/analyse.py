@@ -70,7 +70,7 @@ def analyse(
             result = whole_study(parameters, rig, seed=seed, step=step)
         print_result(as_json, lambda: json_of(result), lambda: lines(result))
         if figures:
-            from coulombus.analysis.figures.all import write_all
+            from coulombus.analysis.figures.report import write_all
 
             print_figures(write_all(figures, result))
 

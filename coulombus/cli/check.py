@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from coulombus.host.setup.device_plan import DevicePlan
     from coulombus.host.setup.host_loss import Reaction
     from coulombus.rigs.errors import RigError
-    from coulombus.rigs.plan.rig_plan import Plan
+    from coulombus.rigs.plan.rig_plan import RigPlan
     from coulombus.rigs.rig import Rig
 
 __all__ = ["check"]
@@ -102,7 +102,7 @@ def _reader(values: Mapping[tuple[int, int], int]) -> Callable[[int, int], int |
 
 def _refused(error: RigError) -> list[dict[str, str]]:
     """Return the errors of a rig file as problems: those of roles with their role, the others as their text."""
-    from coulombus.rigs.problem import Problem
+    from coulombus.rigs.errors import Problem
 
     problems = [problem._asdict() for problem in error.problems]
     texts = [text for text in error.errors if not any(problem["text"] in text for problem in problems)]
@@ -144,7 +144,7 @@ class _Findings:
         from coulombus.rigs.plan.rig_plan import plans
 
         self.rig = rig
-        self.buses: dict[str, Plan] = plans(rig)
+        self.buses: dict[str, RigPlan] = plans(rig)
         self.fits = all(planned.fits for planned in self.buses.values())
         unfit = (planned for planned in self.buses.values() if not planned.fits)
         self.planned = next(unfit, self.buses[rig.channels[0]])

@@ -51,7 +51,7 @@ def dbc(
         from coulombus.recording.output_file import new_file
 
         suffix = ".dbc" if out is None else out.suffix.lower()
-        text = database_text(bus_options.known()[0], suffix)
+        text = database_text(bus_options.known_bus()[0], suffix)
         if out is None:
             with printed():
                 echo(text, nl=False)

@@ -60,7 +60,7 @@ def hz(
                 by_bus = {"": recorded_bare(file, bus_options.channel, KnownBus(eds=bus_options.files()), remarks)}
                 remark(remarks)
         else:
-            known_bus, address = bus_options.known(bus_options.bus_name)
+            known_bus, address = bus_options.known_bus(bus_options.bus_name)
             if sys.stderr.isatty():
                 say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)

@@ -217,7 +217,7 @@ def _answered(bus_name: str, drive_axis: int) -> dict[int, dict[tuple[int, int],
 
 def _acknowledgements(rig: Rig) -> Iterator[str]:
     """Yield the acknowledgements that the rig file needs before its devices are armed
-    (`rigs.problem.Problem.accept`).
+    (`rigs.errors.Problem.accept`).
     """
     from coulombus.host.cycle.controller import Controller
     from coulombus.host.setup.device_plan import device_plans

@@ -37,7 +37,7 @@ class NodeId(click.IntRange):
         return number
 
 
-class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+class DeviceKind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
     """A kind of device by its name in `node.kinds`, or "auto".
 
     Kinds are imported on use, so that the help starts without numba.
@@ -102,7 +102,7 @@ class Served:
             "What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
             "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
             "and told.",
-            type=Kind(),
+            type=DeviceKind(),
             default="auto",
         ),
     ]

@@ -74,7 +74,7 @@ def pdo(
                 raise click.UsageError("a FILE and --bus or --node: give one of them")
             bus = bus_options.of_file(file)
         elif node_id is None:
-            bus, address = bus_options.known(bus_name)
+            bus, address = bus_options.known_bus(bus_name)
         else:
             bus, address = _of_node(bus_options, bus_name, node_id)
         now: dict[int, PdoRow] = {}

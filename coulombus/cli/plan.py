@@ -18,8 +18,8 @@ from coulombus.system.exit import say, verdict
 from coulombus.system.wrap_text import hanging
 
 if TYPE_CHECKING:
-    from coulombus.rigs.plan.response_times import Errors, Response
-    from coulombus.rigs.plan.rig_plan import Assumptions, Plan
+    from coulombus.rigs.plan.response_times import Errors, ResponseTime
+    from coulombus.rigs.plan.rig_plan import Assumptions, RigPlan
     from coulombus.rigs.plan.role_costs import Remedy
     from coulombus.rigs.rig import Rig
 else:
@@ -36,7 +36,7 @@ LEFT = 2
 """Number of left-aligned columns."""
 
 
-def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
+def as_dict(plan: RigPlan, rig: Rig) -> dict[str, Any]:
     """Return the plan for --json; times in us, the highest priority first."""
     from coulombus.rigs.plan.rig_plan import bitrates_that_fit, largest_axes, shortest_period_ns
     from coulombus.rigs.plan.role_costs import longer_period, without_roles
@@ -90,7 +90,7 @@ def _change(change: Remedy | None) -> dict[str, Any] | None:
     }
 
 
-def role_rows(plan: Plan, rig: Rig) -> list[dict[str, Any]]:
+def role_rows(plan: RigPlan, rig: Rig) -> list[dict[str, Any]]:
     """Return a row for each entry of the rig's PDOs: its role and its time per cycle [us]."""
     from coulombus.rigs.plan.role_costs import role_costs
 
@@ -108,11 +108,11 @@ def role_rows(plan: Plan, rig: Rig) -> list[dict[str, Any]]:
     ]
 
 
-def message_rows(plan: Plan) -> list[dict[str, Any]]:
+def message_rows(plan: RigPlan) -> list[dict[str, Any]]:
     """Return a row for each message; times in us, the highest priority first."""
     cycle = {frame.message.name: frame for frame in plan.cycle.frames}
 
-    def row(response: Response) -> dict[str, Any]:
+    def row(response: ResponseTime) -> dict[str, Any]:
         message, frame = response.message, cycle.get(response.message.name)
         return {
             "name": message.name,
@@ -213,7 +213,7 @@ def _print_changes(would: dict[str, Any]) -> None:
         echo(f"  lost: {text}")
 
 
-def _draw(path: Path, plans: dict[str, Plan], *, force: bool) -> None:
+def _draw(path: Path, plans: dict[str, RigPlan], *, force: bool) -> None:
     """Plot each bus, into separate files if there are several."""
     from coulombus.recording.output_file import new_file
     from coulombus.rigs.plan.gantt import write_gantt

@@ -68,7 +68,7 @@ class Choice:
             if rig is not None and len(rig.channels) > 1:
                 rig = self._on_bus(rig)
             selected &= np.isin(senders(tape.frames["can_id"], rig), nodes)
-        return tape.take(selected)
+        return tape.select(selected)
 
     def _on_bus(self, rig: Rig) -> Rig:
         """Return the rig's part on the played bus, if --channel names it."""

@@ -184,7 +184,7 @@ class KnownBusOptions(RigOptions):
             raise click.UsageError("--set changes a rig: leave it or --eds out")
         return files
 
-    def known(self, bus_name: str | None = None) -> tuple[KnownBus, BusAddress]:
+    def known_bus(self, bus_name: str | None = None) -> tuple[KnownBus, BusAddress]:
         """Return what EDS files, else the rig, tell of a bus, and its address; print what is left out."""
         from coulombus.recording.maps.known_bus import KnownBus
         from coulombus.rigs.buses import one_bus

@@ -43,7 +43,7 @@ def tools(
         from coulombus.monitor.tools.tool_files import tool_files
         from coulombus.recording.output_file import new_file, reason_against
 
-        bus, _ = bus_options.known()
+        bus, _ = bus_options.known_bus()
         files = {folder / name: text for name, text in tool_files(bus).items()}
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)

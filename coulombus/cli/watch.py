@@ -202,7 +202,7 @@ def watch(
         if file is not None:
             _open(file, bus_options, page, seconds=seconds, as_json=as_json)
             return
-        bus, address = bus_options.known(bus_options.bus_name)
+        bus, address = bus_options.known_bus(bus_options.bus_name)
         rig = bus.rig
         if rig is not None and (view.foxglove is not None or view.plotjuggler is not None):
             _forward(rig, address, view, seconds=seconds, as_json=as_json)

@@ -40,7 +40,7 @@ SERVICE = re.compile(r"sdo|nmt|emcy|heartbeat|sync|time|lss|error|[tr]pdo\d+")
 TIME_COLUMNS = 14
 
 
-class _Line(NamedTuple):
+class _LoggedLine(NamedTuple):
     t_s: float
     node: str
     service: str
@@ -62,7 +62,7 @@ class BusLog:
         self._world, self._flush, self._patience_s = world, flush, patience_s
         self._batches: list[Records] = []
         self._markers: list[tuple[int, str]] = []
-        self._lines: list[_Line] = []
+        self._lines: list[_LoggedLine] = []
         self._decoded = self._devices = 0
         self._decoder = BareDecoder(KnownBus())
         world.on_frames = self.write
@@ -127,7 +127,7 @@ class BusLog:
             time.sleep(POLL_S)
         return text
 
-    def _decode(self) -> list[_Line]:
+    def _decode(self) -> list[_LoggedLine]:
         self._flush()
         devices = self._world.devices
         if len(devices) > self._devices:  # its EDS names the objects of its earlier frames, too
@@ -171,17 +171,17 @@ def inject(world: VirtualNetwork, plan: FaultPlan, seed: int, log: BusLog) -> No
     Injection(world, plan, seed, log.mark)
 
 
-def _line(row: Row) -> _Line:
+def _line(row: Row) -> _LoggedLine:
     text = printable(as_text(row))
     service = (row["pdo"] or row["service"]).split()[0].lower()
-    return _Line(row["t_s"], row["node"] or "", service, frozenset(_words(text[TIME_COLUMNS:])), text)
+    return _LoggedLine(row["t_s"], row["node"] or "", service, frozenset(_words(text[TIME_COLUMNS:])), text)
 
 
 def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[\s=(),]+", text.lower()) if word]
 
 
-def _matcher(phrase: str) -> Callable[[_Line], bool]:
+def _matcher(phrase: str) -> Callable[[_LoggedLine], bool]:
     """Return a function that tells whether a line has the words of a phrase."""
     node = NODE.search(phrase)
     words = _words(NODE.sub("", phrase))
@@ -190,7 +190,7 @@ def _matcher(phrase: str) -> Callable[[_Line], bool]:
     if not meant and not service:
         raise ValueError(f'phrase {phrase!r}; expected words of a line, such as "SDO write 1017h" or "NMT start"')
 
-    def matches(line: _Line) -> bool:
+    def matches(line: _LoggedLine) -> bool:
         if (node is not None and line.node != node[1]) or service not in ("", line.service):
             return False
         return all(any(w == word or w.startswith(word + ":") for w in line.words) for word in meant)

@@ -6,17 +6,22 @@ import re
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from coulombus.rigs.errors import nearest, shown
 from coulombus.rigs.rig import Rig, RigError, load_rig
-from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import Document, Key, read_text, read_toml
+from coulombus.rigs.toml_lines import Document, Key, of_another_kind, read_text, read_toml
 from coulombus.sim_bus.faults.error_text import WANTED
 
-__all__ = ["FileMistakes", "read_checked", "rig_beside"]
+__all__ = ["FileMistakes", "StrictTable", "read_checked", "rig_beside"]
 
 M = TypeVar("M", bound=BaseModel)
+
+
+class StrictTable(BaseModel):
+    """A table of a sweep or study file: no other keys, and no value of another type."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class FileMistakes:

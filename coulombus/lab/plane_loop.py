@@ -25,7 +25,7 @@ from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import Floats, RecordArray
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.load_mechanism import Mechanism, load_mechanism
-from coulombus.rigs.kinematics.mechanism_records import MechanismFunction
+from coulombus.rigs.kinematics.mechanisms import MechanismFunction
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.rig.arm_plant import new_plane_plant
 from coulombus.sim_bus.rig.plane_plant import advance_plane, tip_force

@@ -51,7 +51,7 @@ def _bus_end() -> Iterator[ExitStack]:
         yield stack
 
 
-def _kept(request: pytest.FixtureRequest, stack: ExitStack, bus: ServedBus) -> ServedBus:
+def _close_after_test(request: pytest.FixtureRequest, stack: ExitStack, bus: ServedBus) -> ServedBus:
     stack.callback(bus.close)
     request.node.stash.setdefault(_LOGS, {})[str(bus.address)] = bus.log
     return bus
@@ -62,7 +62,7 @@ def can_bus(request: pytest.FixtureRequest, _live: None, _bus_end: ExitStack) ->
     """Return a virtual CAN bus of this test: `can_bus.channel` is its name for python-can."""
     from coulombus.lab.served_bus import empty_bus
 
-    return _kept(request, _bus_end, empty_bus())
+    return _close_after_test(request, _bus_end, empty_bus())
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def rig(request: pytest.FixtureRequest, _live: None, _bus_end: ExitStack) -> Cal
 
     def serve(name: str, seed: int = 0) -> ServedBus:
         path = _beside(request, name)
-        return _kept(request, _bus_end, rig_bus(str(path) if path.exists() else name, seed))
+        return _close_after_test(request, _bus_end, rig_bus(str(path) if path.exists() else name, seed))
 
     return serve
 

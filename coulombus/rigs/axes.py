@@ -21,7 +21,7 @@ from itertools import combinations
 from typing import Any
 
 from coulombus.rigs.errors import Source
-from coulombus.rigs.toml_lines import Key, Table
+from coulombus.rigs.toml_lines import Key, Table, value_at
 
 __all__ = ["MAX_AXES", "TAKEN", "check_axes", "device_keys", "split_axes"]
 
@@ -82,13 +82,6 @@ def device_keys(values: Table) -> list[Key]:
     return [("motor",), ("brake",), *(("sensor", name) for name in (sensors if isinstance(sensors, Mapping) else ()))]
 
 
-def _get(values: Table, key: Key) -> Any:
-    value: Any = values
-    for part in key:
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
-
-
 def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source], *, one_cycle: bool = False) -> None:
     """Note shared keys that differ between axes, and duplicate node ids on one bus.
 
@@ -97,27 +90,27 @@ def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source], *, one_
     for first, second in combinations(axes, 2):
         earlier, later, source = axes[first], axes[second], sources[second]
         names = {first: second, second: first}
-        same_bus = _get(earlier, ("bus", "channel")) == _get(later, ("bus", "channel"))
+        same_bus = value_at(earlier, ("bus", "channel")) == value_at(later, ("bus", "channel"))
         as_one = same_bus or one_cycle
         together = "both hang on one bus" if same_bus else "one host serves both buses in one cycle"
         for key, why in (*SHARED, *([(BIT_RATE, together)] if as_one else [])):
-            if _get(earlier, key) != _get(later, key) and not source.is_wrong(key):
+            if value_at(earlier, key) != value_at(later, key) and not source.is_wrong(key):
                 odd = next((name for name in (second, first) if sources[name].full(key) != key), second)
                 sources[odd].say(key, f"differs from that of axis {names[odd]}; expected the same, because {why}")
-        modes = [set(_get(axis, ("mode",)) or ()) for axis in (earlier, later)]
+        modes = [set(value_at(axis, ("mode",)) or ()) for axis in (earlier, later)]
         if modes[0] != modes[1]:
             source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")
         if as_one:
             where = "on the same bus" if same_bus else "whose bus the same host serves in the same cycle"
             for key, device in _ids(earlier, later):
                 if not source.is_wrong(key):
-                    source.stands(key, _get(later, key), f"another id than the {device}'s of axis {first}, {where}")
+                    source.stands(key, value_at(later, key), f"another id than the {device}'s of axis {first}, {where}")
 
 
 def _ids(earlier: Table, later: Table) -> Iterator[tuple[Key, str]]:
-    node_ids = {_get(earlier, (*device, "node_id")): device[-1] for device in reversed(device_keys(earlier))}
+    node_ids = {value_at(earlier, (*device, "node_id")): device[-1] for device in reversed(device_keys(earlier))}
     for device in device_keys(later):
         key: Key = (*device, "node_id")
-        node_id = _get(later, key)
+        node_id = value_at(later, key)
         if node_id is not None and node_id in node_ids:
             yield key, str(node_ids[node_id])

@@ -1,6 +1,7 @@
 """One axis of a rig: a motor and a brake on one handle, the host's model of them, and the law.
 
 Code that works per axis takes an `Axis`; buses, host and name belong to the `rigs.rig.Rig`. An axis is deeply frozen.
+`AxisParts` builds it from the rig file's values: sections, EDS files of its devices, their PDOs.
 """
 
 from __future__ import annotations
@@ -12,21 +13,24 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, ValidationError
 
 from coulombus.eds.reader import Description, parse_eds
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.errors import RigError, Source, shown
+from coulombus.rigs.field_help import explain, misspelt_sections
+from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.frozen_map import FrozenMap
-from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section
+from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section, WorldSection
 from coulombus.rigs.pdo_maps import AxisPdos, allocate
 from coulombus.rigs.plant import Operator, Phase, Plant
+from coulombus.rigs.rules import check, check_roles
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import Key, read_toml
-from coulombus.rigs.world_section import WorldSection
 
-__all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
+__all__ = ["NO_DEVICES", "Axis", "AxisParts", "Origin", "Sections", "Simulation"]
+
 
 NO_DEVICES = frozenset(("plant", "operator", "phases"))
 """Sections that describe neither the devices nor their set-up by the host."""
@@ -125,7 +129,7 @@ class Axis(Sections):
     origin: Origin = Field(exclude=True)
 
     @classmethod
-    def of(
+    def from_sections(
         cls,
         sections: Sections,
         name: str,
@@ -146,7 +150,7 @@ class Axis(Sections):
     def from_origin(self, origin: Origin) -> Axis:
         """Return a copy with another origin."""
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
-        return Axis.of(self, self.name, descriptions, origin, self.allocation, joint=self.joint)
+        return Axis.from_sections(self, self.name, descriptions, origin, self.allocation, joint=self.joint)
 
     def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
         """Return whether sections and EDS files equal this axis' own, `NO_DEVICES` aside."""
@@ -160,7 +164,7 @@ class Axis(Sections):
         roles_set = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
         lean = self.model_copy(update={"role": Roles.model_validate(roles_set)})
         descriptions = dict(zip(self.devices, self.descriptions, strict=True))
-        return Axis.of(lean, self.name, descriptions, self.origin, joint=self.joint)
+        return Axis.from_sections(lean, self.name, descriptions, self.origin, joint=self.joint)
 
     @property
     def prefix(self) -> str:
@@ -211,15 +215,15 @@ class Axis(Sections):
         """Folder searched for a law's file before the current one: the rig file's, never a recording's."""
         return self.origin.law_folder or (Path() if self.origin.attached else Path(self.origin.path).parent)
 
-    def said(self, text: str) -> str:
+    def spell_keys(self, text: str) -> str:
         """Return `text` with its rig-file keys as the user wrote them: ``axis.NAME.limits.travel_rad`` if this axis has
         its own.
         """
-        return self.origin.source(self.name).said(text) if self.name else text
+        return self.origin.source(self.name).spell_keys(text) if self.name else text
 
     def refusal(self, key: str, text: str) -> RigError:
         """Return an error with the place of `key`, for later checks; `text` has the cause."""
-        return self._at(tuple(key.split(".")), self.origin.source(self.name).said(text))
+        return self._at(tuple(key.split(".")), self.origin.source(self.name).spell_keys(text))
 
     def _at(self, path: Key, text: str) -> RigError:
         source = self.origin.source(self.name)
@@ -236,7 +240,7 @@ class Axis(Sections):
         for part in path:
             value = value.get(part, {}) if isinstance(value, dict) else value[part]
         got = "by default" if value == {} else f"got '{shown(value)}'"
-        return self._at(path, f"{got}, expected {source.said(expected)}")
+        return self._at(path, f"{got}, expected {source.spell_keys(expected)}")
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)
@@ -258,4 +262,67 @@ def _reload(
 ) -> Axis:
     sections = Sections.model_validate(values)
     descriptions = (parse_eds(text.encode(), path) for path, text in eds_texts)
-    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint)
+    return Axis.from_sections(
+        sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin, joint=joint
+    )
+
+
+class _Unnamed:
+    """An axis under check: its sections and the EDS files of its devices (`rigs.signals.Parts`)."""
+
+    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
+        self._sections, self._descriptions = sections, descriptions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sections, name)
+
+    def description(self, node: Node) -> Description:
+        """Return the EDS file of a device."""
+        return self._descriptions[node]
+
+
+@dataclass(frozen=True)
+class AxisParts:
+    """The parts of an axis; `sections` is None if they are refused."""
+
+    sections: Sections | None
+    descriptions: Mapping[Node, Description]
+    allocation: AxisPdos | None = None
+
+    @classmethod
+    def from_values(
+        cls,
+        name: str,
+        values: dict[str, Any],
+        source: Source,
+        eds_texts: Mapping[str, str] | None,
+        *,
+        attached: bool,
+        earlier: Axis | None,
+    ) -> AxisParts:
+        """Validate the values of one axis; errors are noted in `source`."""
+        read_schedules(values, source, attached=attached)
+        misspelt_sections(values, Sections, source)
+        sections: Sections | None = None
+        try:
+            sections = Sections.model_validate(values)
+        except ValidationError as error:
+            explain(error, values, Sections, source)
+        check(values, source)
+        descriptions = read_descriptions(values, source, eds_texts, f"{name}." if name else "")
+        allocation = None
+        if sections is not None and len(descriptions) == len(sections.devices):
+            if earlier is not None and earlier.has_devices_of(sections, descriptions):
+                allocation = earlier.allocation
+            else:
+                parts = _Unnamed(sections, descriptions)
+                allocation = allocate(parts, f"{name}." if name else "")
+                check_roles(allocation.problems, parts, values, source)
+        if sections is None and not source.found:
+            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
+        return cls(sections, descriptions, allocation)
+
+    def axis(self, name: str, origin: Origin, *, joint: bool) -> Axis:
+        """Return the axis; call only if nothing was refused."""
+        assert self.sections is not None
+        return Axis.from_sections(self.sections, name, self.descriptions, origin, self.allocation, joint=joint)

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from coulombus.eds.pdo import Entry
-from coulombus.rigs.roles import Binding, Kind, checked_entry
+from coulombus.rigs.roles import Binding, RoleKind, checked_entry
 from coulombus.rigs.signals import Parts
 
 __all__ = ["bind_switch", "deadman_mask"]
@@ -49,7 +49,7 @@ def bind_switch(parts: Parts, bindings: Sequence[Binding]) -> Binding | None:
         if any(binding.place == (node, index, subindex) for binding in bindings):
             raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already, so it cannot be a switch")
         _check_mask(deadman, node, entry)
-        return Binding(Kind("deadman", f"{node}.deadman", "tpdo", "", True), node, entry)
+        return Binding(RoleKind("deadman", f"{node}.deadman", "tpdo", "", True), node, entry)
     raise ValueError(f"no EDS file describes {index:04X}h:{subindex}")
 
 

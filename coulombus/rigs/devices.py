@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from coulombus.eds.drive_axis import MOST_DRIVE_AXES
-from coulombus.rigs.hysteresis import Iron
 from coulombus.rigs.model import MS, Milliseconds, Section
 
 __all__ = [
+    "MOST_PLAYS",
     "SENSOR_NAME",
     "TABLE_POINTS",
     "AngleRole",
@@ -24,6 +24,7 @@ __all__ = [
     "CurrentRole",
     "DeviceSection",
     "HandleRole",
+    "Iron",
     "Motor",
     "Role",
     "Roles",
@@ -35,6 +36,8 @@ __all__ = [
     "drive_axis_of",
 ]
 
+
+MOST_PLAYS = 8
 OBJECT = r"^(|none|[0-9A-Fa-f]{4}(:[0-9A-Fa-f]{1,2})?)$"
 SAYS_OBJECT: Any = {"expected": '"INDEX", "INDEX:SUB" (hexadecimal) or "none"'}
 SENSOR_NAME = r"[a-z][a-z0-9_]{0,15}"
@@ -116,6 +119,25 @@ class _Actuator(DeviceSection):
     )
     drive_axis: int | None = Field(
         None, ge=1, le=MOST_DRIVE_AXES, description="which axis of a CiA 402 drive: objects from 6000h, 6800h ..."
+    )
+
+
+class Iron(Section):
+    """[plant.iron], [brake.iron]: the brake's magnetic hysteresis, a sum of play operators."""
+
+    play_Nm: tuple[Annotated[float, Field(gt=0, le=1e4)], ...] = Field(
+        strict=False,
+        min_length=1,
+        max_length=MOST_PLAYS,
+        description="half of each operator's play, as the torque of its coil current",
+        json_schema_extra={"expected": f"a list of 1 to {MOST_PLAYS} numbers above 0, in Nm"},
+    )
+    weights: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
+        strict=False,
+        min_length=1,
+        max_length=MOST_PLAYS,
+        description="weight of each operator; what is left to 1 follows at once",
+        json_schema_extra={"expected": "a list of as many numbers from 0 to 1 as play_Nm has, together at most 1"},
     )
 
 

@@ -1,4 +1,4 @@
-"""Errors of a rig file: their places, all reported together."""
+"""Errors of a rig file: their places, all reported together; problems of its devices with their remedies."""
 
 from __future__ import annotations
 
@@ -7,14 +7,31 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.toml_lines import Document, Key
 from coulombus.system.errors import CoulombusError
 from coulombus.system.foreign_text import printable
 
-__all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
+__all__ = ["Problem", "RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
+
+
+class Problem(NamedTuple):
+    """The reason why a device cannot have a role or bring-up is refused, and the remedy.
+
+    `accept` is the sentence of ``host.accept`` that acknowledges it, or "".
+    """
+
+    role: str
+    node: str
+    object: str
+    text: str
+    remedy: str
+    accept: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
+
 
 LONGEST = 60
 _LAW = re.compile(r'law\.function="(.*)"')
@@ -81,7 +98,7 @@ class Source:
         """Return `key` as the user wrote it, as a text."""
         return dotted(self.full(key))
 
-    def said(self, text: str) -> str:
+    def spell_keys(self, text: str) -> str:
         """Return `text` with its rig-file keys as the user wrote them."""
         return _KEY.sub(lambda match: self.spelled(tuple(match[0].split("."))), text) if self.axis else text
 
@@ -104,7 +121,7 @@ class Source:
         """Note an error of `key`; `text` follows the key's name."""
         place, where = self.where(key)
         self.wrong.add(key)
-        self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
+        self.found.append((place, f"{where}: {self.spelled(key)}: {self.spell_keys(text)}"))
 
     def stands(self, key: Key, value: Any, expected: str, choices: Iterable[str] = ()) -> None:
         """Note that `value` is not as `expected`."""

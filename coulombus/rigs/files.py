@@ -10,9 +10,9 @@ from typing import Any
 
 from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
 from coulombus.eds.regular_file import read_regular
-from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axes import device_keys
 from coulombus.rigs.errors import Source, nearest
+from coulombus.rigs.pdo_records import with_accepted
 from coulombus.rigs.signals import Node
 from coulombus.rigs.toml_lines import Table
 

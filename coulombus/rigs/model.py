@@ -1,4 +1,4 @@
-"""The rig file as frozen models: bus, host, the controller's model, law, modes, limits.
+"""The rig file as frozen models: bus, host, the controller's model, law, modes, limits, world.
 
 The models are the schema: they define the range and meaning of every key. A test compares `docs/rig-file.md` with them,
 and `rigs.errors` takes its texts from them. The devices and their roles are in `rigs.devices`, the simulated rig
@@ -30,8 +30,10 @@ __all__ = [
     "Modes",
     "Polarity",
     "Section",
+    "WorldSection",
     "to_ns",
 ]
+
 
 MODES = ("active", "passive", "hybrid")
 MOST_DEVICES = 8
@@ -381,3 +383,13 @@ class Limits(Section):
     def travel_limit_rad(self) -> float:
         """`travel_rad` as a number, infinite when unlimited."""
         return float("inf") if self.travel_rad == "unlimited" else float(self.travel_rad)
+
+
+class WorldSection(Section):
+    """[world]: what the display shows while no program sends a model."""
+
+    rest: Literal["law", "free"] = Field(
+        "law", description="what is displayed without a model: the rig's friction law, or nothing"
+    )
+    ramp_s: float = Field(0.2, ge=0.001, le=10, description="a model that is over fades within this time")
+    longest_life_s: float = Field(1.0, ge=0.002, le=60, description="largest time to live of a model")

@@ -20,11 +20,11 @@ from coulombus.eds.pdo import COMMUNICATION, PDO_BITS, Entry, PdoLayout
 from coulombus.eds.reader import Description
 from coulombus.rigs.deadman_object import bind_switch
 from coulombus.rigs.devices import Brake, Motor, drive_axis_of
+from coulombus.rigs.errors import Problem
 from coulombus.rigs.model import to_ns
 from coulombus.rigs.pdo_records import ON_SYNC, PdoParameters, records_of, writable
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import Binding, Bound, bind
-from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
+from coulombus.rigs.signals import ConstantEntry, Direction, Node, Parts, RigPdo, Signal
 
 __all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "allocate", "mode_of", "writable"]
 
@@ -65,7 +65,7 @@ def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
     for node in parts.devices:
         for direction in ("rpdo", "tpdo"):
             of_node = [binding for binding in bindings if binding.node == node and binding.kind.direction == direction]
-            device = _Device(parts, node, direction, prefix)
+            device = _DevicePdos(parts, node, direction, prefix)
             pdos += device.fill(of_node)
             absent |= device.absent
             problems += device.problems
@@ -112,7 +112,7 @@ def _ambiguous(parts: Parts, bound: Bound) -> Iterator[Problem]:
         yield Problem("position", position.node, "", text, f"expected less than {half}: lower one of them")
 
 
-class _Device:
+class _DevicePdos:
     """The PDOs of one device in one direction, while they are filled."""
 
     def __init__(self, parts: Parts, node: Node, direction: Direction, prefix: str) -> None:
@@ -246,7 +246,7 @@ class _Device:
 
     def _constants(
         self, name: str, entries: Sequence[Entry], roles: Mapping[tuple[int, int], Binding]
-    ) -> Iterator[Constant]:
+    ) -> Iterator[ConstantEntry]:
         for entry in entries:
             place = (entry.index, entry.subindex)
             if entry.dummy or place in roles:
@@ -256,7 +256,7 @@ class _Device:
             self.losses.append(
                 f"{self.prefix}{self.node}: {name} carries {label} too, which is sent as {value} ({why})"
             )
-            yield Constant(*place, value)
+            yield ConstantEntry(*place, value)
 
     def _standing(self, index: int, subindex: int) -> tuple[int, str]:
         """Return the constant value of an RPDO entry, and the reason."""

@@ -5,21 +5,26 @@ if the device lets them be set, else the device's own. A further axis of a drive
 (65 to 68 for the second, or those whose default maps hold its objects). If such a PDO has no identifier, it takes that
 of PDO 1 to 4, because bring-up makes the first axis' PDOs invalid. A TPDO follows SYNC (transmission type 1) if it can;
 otherwise the device's event timer sends it.
+
+A device can map objects although its EDS file denies it. The rig file acknowledges each of them in ``host.accept``; the
+device's answer at bring-up decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import count
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.drive_axis import axis_of, pdo_numbers
 from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_COUNT, Entry, read_layout
 from coulombus.eds.reader import Description, EdsError, Variable
-from coulombus.rigs.signals import Direction
+from coulombus.rigs.signals import Direction, Node
 
-__all__ = ["ON_SYNC", "PdoParameters", "records_of", "writable"]
+__all__ = ["ON_SYNC", "PdoParameters", "mapping_sentence", "records_of", "with_accepted", "writable"]
+
 
 FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
 PREDEFINED = 4
@@ -176,3 +181,28 @@ def _default_map(description: Description, node_id: int, direction: Direction, n
         return read_layout(description, node_id, direction, number).entries
     except EdsError:
         return ()
+
+
+SENTENCE = re.compile(r"(?P<node>[\w.]+): (?P<index>[0-9A-F]{4})h(?::(?P<sub>[0-9A-F]{1,2}))? can be mapped")
+
+
+def mapping_sentence(name: str, index: int, subindex: int) -> str:
+    """Return the sentence of ``host.accept`` that acknowledges a mapping; `name` is the device's."""
+    place = f"{index:04X}h:{subindex:X}" if subindex else f"{index:04X}h"
+    return f"{name}: {place} can be mapped"
+
+
+def with_accepted(description: Description, name: Node, sentences: Iterable[str]) -> Description:
+    """Return the EDS file of a device with PDOMapping=1 for the objects that `sentences` name."""
+    objects = dict(description.objects)
+    for sentence in sentences:
+        match = SENTENCE.fullmatch(sentence)
+        if match is None or match["node"] != name:
+            continue
+        index, subindex = int(match["index"], 16), int(match["sub"] or "0", 16)
+        if not description.has(index, subindex):
+            continue
+        entry = objects[index]
+        variable = replace(entry.variables[subindex], pdo_mappable=True)
+        objects[index] = replace(entry, variables={**entry.variables, subindex: variable})
+    return description if objects == description.objects else replace(description, objects=objects)

@@ -1,7 +1,7 @@
 """Details of a simulated rig beyond one rigid body.
 
 They are [plant.cable], [plant.handle], [plant.friction], [plant.fluid], [plant.ripple] and
-[plant.heat]; [plant.iron] is in `rigs.hysteresis`.
+[plant.heat]; [plant.iron] is in `rigs.devices`.
 
 A rig file without these sections has one rigid body.
 """

@@ -18,10 +18,9 @@ from typing import Any
 from coulombus.eds.reader import Description
 from coulombus.rigs.arguments import WrongCall, path_text, texts
 from coulombus.rigs.axes import check_axes, split_axes
-from coulombus.rigs.axis import Axis, Origin
-from coulombus.rigs.axis_parts import AxisParts
+from coulombus.rigs.axis import Axis, AxisParts, Origin
+from coulombus.rigs.device_services import emcy_identifier
 from coulombus.rigs.devices import DeviceSection
-from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.errors import RigError, Source
 from coulombus.rigs.kinematics.kinematics_rules import PLANE_SECTIONS, PlaneSections, check_phases, read_plane
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
@@ -30,8 +29,7 @@ from coulombus.rigs.rig_file import known_rigs, named_rig, packaged_rig, read_ri
 from coulombus.rigs.rules import remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
-from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import Table, read_toml
+from coulombus.rigs.toml_lines import Table, of_another_kind, read_toml
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
@@ -425,7 +423,7 @@ def _load(
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
     before = {axis.name: axis for axis in earlier}
     parts = [
-        AxisParts.of(name, axis_values, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        AxisParts.from_values(name, axis_values, sources[name], eds_texts, attached=attached, earlier=before.get(name))
         for name, axis_values in own_values.items()
     ]
     if named is not None:

@@ -34,9 +34,9 @@ from coulombus.eds.drive_scale import VELOCITY_UNIT, defaults, velocity_unit
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.eds.units import BLOCK_UNITS, NOTATION
-from coulombus.rigs.accepted_mapping import mapping_sentence
 from coulombus.rigs.devices import BrakeRole, Role, drive_axis_of
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.errors import Problem
+from coulombus.rigs.pdo_records import mapping_sentence
 from coulombus.rigs.signals import Direction, Node, Parts
 
 __all__ = [
@@ -46,7 +46,7 @@ __all__ = [
     "ROLES",
     "Binding",
     "Bound",
-    "Kind",
+    "RoleKind",
     "bind",
     "checked_entry",
     "profile_of",
@@ -63,7 +63,7 @@ WIDEST = 32
 """Widest integer of the host [bits]."""
 
 
-class Kind(NamedTuple):
+class RoleKind(NamedTuple):
     """A role: its signal, direction and unit, whether it is optional, and the host's loss without it."""
 
     name: str
@@ -80,28 +80,28 @@ class Kind(NamedTuple):
 
 
 ROLES = (
-    Kind("controlword", "motor.controlword", "rpdo", "", True),
-    Kind("torque_setpoint", "motor.target_torque_Nm", "rpdo", "Nm", True),
-    Kind("statusword", "motor.statusword", "tpdo", "", True),
-    Kind("position", "motor.position_rad", "tpdo", "rad", True),
-    Kind(
+    RoleKind("controlword", "motor.controlword", "rpdo", "", True),
+    RoleKind("torque_setpoint", "motor.target_torque_Nm", "rpdo", "Nm", True),
+    RoleKind("statusword", "motor.statusword", "tpdo", "", True),
+    RoleKind("position", "motor.position_rad", "tpdo", "rad", True),
+    RoleKind(
         *("torque", "motor.torque_Nm", "tpdo", "Nm", False),
         "the motor's torque is not measured: the watch of its net work (limits.net_work_J) takes the command for it",
     ),
-    Kind("velocity", "motor.velocity_rad_s", "tpdo", "rad/s", False),
-    Kind("brake_controlword", "brake.controlword", "rpdo", "", False),
-    Kind("brake_setpoint", "brake.setpoint_Nm", "rpdo", "Nm", True),
-    Kind("brake_statusword", "brake.statusword", "tpdo", "", False),
-    Kind(
+    RoleKind("velocity", "motor.velocity_rad_s", "tpdo", "rad/s", False),
+    RoleKind("brake_controlword", "brake.controlword", "rpdo", "", False),
+    RoleKind("brake_setpoint", "brake.setpoint_Nm", "rpdo", "Nm", True),
+    RoleKind("brake_statusword", "brake.statusword", "tpdo", "", False),
+    RoleKind(
         *("handle_torque", "brake.handle_torque_Nm", "tpdo", "Nm", False),
         "the handle torque is not measured: no watch of it against the brake's command (limits.handle_mismatch_Nm), no check before arming "
         "that nothing loads the handle (limits.still_handle_torque_Nm), no sign check of a transducer",
     ),
-    Kind(
+    RoleKind(
         *("coil_current", "brake.coil_current_A", "tpdo", "A", False),
         "the coil's current is not measured: its I2t watch takes the command times brake.coil_A_Nm for it",
     ),
-    Kind(
+    RoleKind(
         *("coil_temperature", "brake.coil_temperature_degC", "tpdo", "degC", False),
         "the coil's temperature is not measured, and not recorded",
     ),
@@ -139,7 +139,7 @@ class Binding:
     `table` is the brake's, raw counts and torque at the handle; `scale` is then that of its last step.
     """
 
-    kind: Kind
+    kind: RoleKind
     node: Node
     entry: Entry
     scale: float = 1.0
@@ -223,7 +223,7 @@ def _twice(bindings: list[Binding]) -> Iterator[Problem]:
             yield Problem(binding.kind.name, binding.node, label, text, "bind another object")
 
 
-def _bind(parts: Parts, kind: Kind, bindings: list[Binding]) -> Binding | None:
+def _bind(parts: Parts, kind: RoleKind, bindings: list[Binding]) -> Binding | None:
     """Return the binding of a role; None if no device has it."""
     role: Role = getattr(parts.role, kind.name) or Role(node="", object="")
     node = role.node or kind.home
@@ -270,7 +270,7 @@ def _named(text: str) -> Objects:
     return ((int(index, 16), int(subindex or "0", 16)),)
 
 
-def _by_profile(kind: Kind, description: Description, node: Node, drive_axis: int) -> Objects:
+def _by_profile(kind: RoleKind, description: Description, node: Node, drive_axis: int) -> Objects:
     """Return a profile's objects for a role; for a drive, those of its axis."""
     profile = profile_of(description, node)
     if node in ("motor", "brake"):

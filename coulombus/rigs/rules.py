@@ -1,4 +1,8 @@
-"""Rules across keys of a rig file: errors, and warnings for legal but unlikely values."""
+"""Rules across keys of a rig file: errors, and warnings for legal but unlikely values.
+
+Of a detailed plant, bodies need an inertia, couplings must suit the step, bristles need a stiffness, and the iron's
+weights must fit.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +14,16 @@ from itertools import combinations, pairwise, permutations
 from typing import Any
 
 from coulombus.rigs.axes import TAKEN, device_keys
-from coulombus.rigs.detail_rules import check_detail
 from coulombus.rigs.devices import SENSOR_NAME
-from coulombus.rigs.errors import Source, dotted, shown
+from coulombus.rigs.errors import Problem, Source, dotted, shown
 from coulombus.rigs.files import COLUMNS
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.plant_detail import MOST_ELEMENTS
 from coulombus.rigs.signals import Parts
-from coulombus.rigs.toml_lines import Key, Table
+from coulombus.rigs.toml_lines import Key, Table, value_at
 
 __all__ = ["check", "check_roles", "remarks"]
+
 
 INT16_MAX = 32767
 WITNESS_SHARE = 0.05
@@ -154,7 +158,7 @@ def _check_witness(values: Table, source: Source) -> None:
     scale = ("role", "position", "scale_rad")
     if any(source.is_wrong(key) for key in (*keys, scale)):
         return
-    measured, counts, ratio, angle = (_value(values, key) for key in (*keys, scale))
+    measured, counts, ratio, angle = (value_at(values, key) for key in (*keys, scale))
     if measured is None or counts is None or ratio is None:
         return
     believed, by = counts * ratio, "motor.encoder_counts_rev x mechanics.ratio"
@@ -182,17 +186,9 @@ def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Itera
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
-        operands = [_value(values, key) for key in rule.keys]
+        operands = [value_at(values, key) for key in rule.keys]
         if None not in operands and not rule.holds(*operands):
             yield rule.keys[0], operands[0], rule.expected.format(*map(shown, operands))
-
-
-def _value(values: Table, key: Key) -> Any:
-    """Return the value of a key, or None."""
-    value: Any = values
-    for part in key:
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
 
 
 def check(values: Table, source: Source) -> None:
@@ -203,7 +199,7 @@ def check(values: Table, source: Source) -> None:
     for key, value, expected in list(_broken_rules(rules, values, source)):
         source.stands(key, value, expected)
     _check_witness(values, source)
-    check_detail(values, source)
+    _check_detail(values, source)
     for key in device_keys(values)[2:]:
         if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:
             expected = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(
@@ -264,7 +260,7 @@ def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
 def remarks(values: Table, source: Source) -> tuple[str, ...]:
     """Return warnings for legal but unlikely values, with file:line."""
     texts = [
-        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(expected)}"
+        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.spell_keys(expected)}"
         for key, value, expected in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):
@@ -274,3 +270,104 @@ def remarks(values: Table, source: Source) -> tuple[str, ...]:
                 text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
                 texts.append(f"{source.where(key)[1]}: {source.spelled(key)}: {text}; expected a tap within the phase")
     return tuple(texts)
+
+
+COUPLINGS = (("cable", "motor_inertia_kg_m2"), ("handle", "inertia_kg_m2"))
+
+
+def _check_detail(values: Table, source: Source) -> None:
+    """Note conflicts between valid keys of `[plant]` and its sections, and errors in the host's model of the brake's
+    iron.
+    """
+    for section in ("plant", "brake"):
+        _check_iron(section, values.get(section), source)
+    plant = values.get("plant")
+    if not isinstance(plant, Mapping):
+        return
+    _check_bodies(plant, source)
+    friction = plant.get("friction")
+    if isinstance(friction, Mapping) and friction.get("law") in ("lugre", "gms", "leuven"):
+        _check_friction(friction, source)
+        if plant.get("coulomb_Nm") == 0:
+            source.say(("plant", "coulomb_Nm"), "got '0', but bristles need a friction above 0 (plant.friction.law)")
+    if isinstance(plant.get("iron"), Mapping) and (remanence := _number(source, plant, "brake_remanence")):
+        text = f"got '{shown(remanence)}', expected 0 beside [plant.iron]: that is another model of the same iron"
+        source.say(("plant", "brake_remanence"), text)
+
+
+def _check_friction(friction: Table, source: Source) -> None:
+    key, law = ("plant", "friction"), friction["law"]
+    stiffness, rate = friction.get("sigma_0_Nm_rad", 0.0), friction.get("C_Nm_s", 0.0)
+    if law == "lugre":
+        if stiffness == 0:
+            text = f"got '{shown(stiffness)}', but bristles need a stiffness above 0"
+            source.say((*key, "sigma_0_Nm_rad"), text)
+        return
+    elements, shares = friction.get("elements_Nm_rad", []), friction.get("shares", [])
+    if law == "gms" and rate == 0:
+        source.say(
+            (*key, "C_Nm_s"), f"got '{shown(rate)}', expected above 0: how fast a slipping element of gms follows"
+        )
+    if not isinstance(elements, list) or source.is_wrong((*key, "elements_Nm_rad")):
+        return
+    if not elements:
+        text = f"got none, expected a list of 1 to {MOST_ELEMENTS} numbers above 0: {law} is made of elements"
+        source.say((*key, "elements_Nm_rad"), text)
+    elif isinstance(shares, list) and not source.is_wrong((*key, "shares")) and len(shares) != len(elements):
+        source.say(
+            (*key, "shares"), f"got {len(shares)} values where elements_Nm_rad has {len(elements)}, expected as many"
+        )
+
+
+def _number(source: Source, values: Any, *key: str) -> float | None:
+    """Return a valid number of `[plant]`, else None."""
+    for part in key:
+        values = values.get(part) if isinstance(values, Mapping) else None
+    right = type(values) in (int, float) and not source.is_wrong(("plant", *key))
+    return float(values) if right else None
+
+
+def _check_bodies(plant: Table, source: Source) -> None:
+    whole, step = _number(source, plant, "inertia_kg_m2"), _number(source, plant, "step_s")
+    parts = {name: _number(source, plant, name, key) for name, key in COUPLINGS if isinstance(plant.get(name), Mapping)}
+    if whole is None or step is None or not parts or None in parts.values():
+        return
+    ends = {name: part for name, part in parts.items() if part is not None}
+    inner = whole - math.fsum(ends.values())
+    if inner <= 0:
+        name, key = next((name, key) for name, key in COUPLINGS if name in ends)
+        together = " + ".join(f"plant.{body}.{inertia_key}" for body, inertia_key in COUPLINGS if body in ends)
+        expected = f"less: the drum has what {together} leaves of plant.inertia_kg_m2, which is {shown(whole)}"
+        source.stands(("plant", name, key), ends[name], expected)
+        return
+    for name, end in ends.items():
+        both = 1 / end + 1 / inner
+        for key, largest, why in (
+            ("stiffness_Nm_rad", 1 / (step * step * both), "a period of its vibration takes at least 2 pi steps"),
+            ("damping_Nms_rad", 2 / (step * both), "its damping acts for at least half a step"),
+        ):
+            value = _number(source, plant, name, key)
+            if value is not None and value > largest:
+                expected = (
+                    f"at most {largest:.4g} with plant.step_s = {shown(step)} and the inertias {end:.4g} and {inner:.4g} kg m2 "
+                    f"beside it ({why}); take a shorter step, or leave the section out: then it is rigid"
+                )
+                source.stands(("plant", name, key), value, expected)
+
+
+def _check_iron(section: str, values: Any, source: Source) -> None:
+    iron = values.get("iron") if isinstance(values, Mapping) else None
+    if not isinstance(iron, Mapping):
+        return
+    plays, weights = iron.get("play_Nm"), iron.get("weights")
+    if not isinstance(plays, list) or not isinstance(weights, list):
+        return
+    key = (section, "iron", "weights")
+    if source.is_wrong(key) or source.is_wrong((section, "iron", "play_Nm")):
+        return
+    if any(type(weight) not in (int, float) for weight in weights):
+        return
+    if len(weights) != len(plays):
+        source.say(key, f"got {len(weights)} values where play_Nm has {len(plays)}, expected as many")
+    elif math.fsum(weights) > 1 + 1e-12:
+        source.say(key, f"got {shown(weights)}, together {math.fsum(weights):.4g}; expected at most 1")

@@ -24,7 +24,7 @@ from coulombus.rigs.devices import Brake, DeviceSection, Motor, Roles, Sensor
 from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.model import Bus, Host, Limits, Mechanics
 
-__all__ = ["Constant", "Direction", "Node", "Parts", "RigPdo", "Signal"]
+__all__ = ["ConstantEntry", "Direction", "Node", "Parts", "RigPdo", "Signal"]
 
 Node: TypeAlias = str
 """A device of an axis: "motor", "brake", or a sensor's name."""
@@ -74,7 +74,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Constant:
+class ConstantEntry:
     """An entry of an RPDO that the host does not command: it is always sent with the same value."""
 
     index: int
@@ -98,7 +98,7 @@ class RigPdo:
     layout: PdoLayout
     signals: tuple[Signal, ...]
     fixed: bool = False
-    constants: tuple[Constant, ...] = ()
+    constants: tuple[ConstantEntry, ...] = ()
 
     @property
     def device(self) -> str:

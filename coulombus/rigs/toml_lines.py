@@ -2,21 +2,34 @@
 
 `tomllib` gives the values, but it stops at the first error and has no line numbers. A light scan finds the line of each
 key, and a statement that `tomllib` refuses is blanked, so that one pass reports every error.
+`of_another_kind` detects a document of another kind: a rig, faults, a script, a sweep or a study.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
 
 from coulombus.eds.regular_file import read_regular
 
-__all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "read_text", "read_toml", "split_key"]
+__all__ = [
+    "MOST_CHARACTERS",
+    "Document",
+    "Key",
+    "Table",
+    "of_another_kind",
+    "read_text",
+    "read_toml",
+    "split_key",
+    "value_at",
+]
+
 
 Key: TypeAlias = tuple[str | int, ...]
 """Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
@@ -97,6 +110,14 @@ def split_key(dotted: str) -> list[str] | None:
     if not re.fullmatch(rf"\s*{_DOTTED}\s*", dotted):
         return None
     return [part[1:-1] if part[0] in "\"'" else part for part in re.findall(_PART, dotted)]
+
+
+def value_at(values: Mapping[str, Any], key: Iterable[str | int]) -> Any:
+    """Return the value of a key within tables; None if absent."""
+    value: Any = values
+    for part in key:
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def _excess(text: str) -> tuple[int, str] | None:
@@ -319,3 +340,32 @@ def _scan(text: str, depth: int, quote: str) -> tuple[int, str]:
             depth += (text[i] in "[{") - (text[i] in "]}")
             i += 1
     return depth, quote if len(quote) == 3 else ""
+
+
+class FileKind(NamedTuple):
+    """Name of a kind of file, how it is passed, and keys of which it has at least one."""
+
+    name: str
+    given_by: str
+    keys: frozenset[str]
+
+
+KINDS: Mapping[str, FileKind] = MappingProxyType(
+    {
+        "rig": FileKind("a rig file", "--rig FILE", frozenset({"mechanics", "motor", "brake", "axis"})),
+        "faults": FileKind("a fault file", "--faults FILE", frozenset({"fault", "controller", "noise"})),
+        "script": FileKind("a script", "--script FILE", frozenset({"at"})),
+        "sweep": FileKind("a sweep", "coulombus sweep FILE", frozenset({"vary", "design"})),
+        "study": FileKind("a study", "coulombus experiment FILE", frozenset({"method", "question", "condition"})),
+    }
+)
+
+
+def of_another_kind(values: Mapping[str, Any], kind: str) -> str | None:
+    """Return the kind of a document that is not of `kind`, and how to pass it; None if it may be of `kind`."""
+    if KINDS[kind].keys & values.keys():
+        return None
+    other = next((candidate for candidate in KINDS.values() if candidate.keys & values.keys()), None)
+    if other is None:
+        return None
+    return f"this is {other.name} ({other.given_by}); expected {KINDS[kind].name} ({KINDS[kind].given_by})"

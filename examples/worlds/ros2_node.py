@@ -34,7 +34,7 @@ class Commands:
     def __init__(self):
         self._newest = {}
 
-    def take(self, topic, numbers, now_s):
+    def update(self, topic, numbers, now_s):
         """Keep a message; return the reason why not, or None."""
         count = 2 if topic == "friction" else 3
         if len(numbers) != count:
@@ -61,12 +61,12 @@ def main(bus="coulombus:bench"):
     states = node.create_publisher(JointState, f"{JOINT}/joint_states", 10)
 
     def listen(topic):
-        def take(message):
-            reason = commands.take(topic, message.data, time.monotonic())
+        def update(message):
+            reason = commands.update(topic, message.data, time.monotonic())
             if reason is not None:
                 node.get_logger().warning(reason)
 
-        node.create_subscription(Float64MultiArray, f"{JOINT}/{topic}", take, 10)
+        node.create_subscription(Float64MultiArray, f"{JOINT}/{topic}", update, 10)
 
     for topic in (*PARTS, "friction"):
         listen(topic)

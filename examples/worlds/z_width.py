@@ -53,7 +53,7 @@ def stable(K_Nm_rad, B_Nms_rad):
     return np.abs(np.linalg.eigvals(step)).max() < 1.0
 
 
-def most(holds, values=STIFFNESS_NM_RAD):
+def largest_that_holds(holds, values=STIFFNESS_NM_RAD):
     """Return the largest of rising values that holds, if those below do, too; 0 if none does."""
     low, high = -1, len(values)
     while high - low > 1:
@@ -64,7 +64,7 @@ def most(holds, values=STIFFNESS_NM_RAD):
 
 def widths(mode, damping=DAMPING_NMS_RAD):
     """Return the stiffest wall [Nm/rad] that a mode displays in full, for each damping."""
-    return [most(lambda K, B=B: in_full(mode, K, B)) for B in damping]
+    return [largest_that_holds(lambda K, B=B: in_full(mode, K, B)) for B in damping]
 
 
 def draw(measured, path="world-z-width.png"):
@@ -76,7 +76,7 @@ def draw(measured, path="world-z-width.png"):
     for mode, marker in zip(measured, "os^", strict=True):
         axes.semilogy(DAMPING_NMS_RAD, measured[mode], marker=marker, label=mode)
     fine, stiff = np.linspace(0.0, 0.5, 101), np.geomspace(1.0, 1e4, 400)
-    alone = np.array([most(lambda K, B=B: stable(K, B), stiff) for B in fine])
+    alone = np.array([largest_that_holds(lambda K, B=B: stable(K, B), stiff) for B in fine])
     axes.semilogy(fine, np.where(alone > 0.0, alone, np.nan), "0.4", label="motor alone, eigenvalues")
     colgate = (HELD_NMS_RAD - fine) / DELAY_S
     axes.semilogy(
@@ -90,7 +90,7 @@ def draw(measured, path="world-z-width.png"):
 
 if __name__ == "__main__":
     all_widths = {mode: widths(mode) for mode in MODES}
-    alone = [most(lambda K, B=B: stable(K, B), np.geomspace(1.0, 1e4, 400)) for B in DAMPING_NMS_RAD]
+    alone = [largest_that_holds(lambda K, B=B: stable(K, B), np.geomspace(1.0, 1e4, 400)) for B in DAMPING_NMS_RAD]
     print("| damping | " + " | ".join(MODES) + " | motor alone, eigenvalues |\n" + "|---" * 5 + "|")
     for k, B in enumerate(DAMPING_NMS_RAD):
         print(f"| {B:g} | " + " | ".join(f"{all_widths[mode][k]:.0f}" for mode in MODES) + f" | {alone[k]:.0f} |")

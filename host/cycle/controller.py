@@ -40,8 +40,7 @@ from coulombus.host.laws.plane.plane_laws import PlaneLaw
 from coulombus.host.world.model_set_up import set_up_model
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
-from coulombus.rigs.emergency import emcy_identifier
-from coulombus.rigs.guarding import beats, is_guarded
+from coulombus.rigs.device_services import beats, emcy_identifier, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records, new_records

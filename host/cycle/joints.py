@@ -35,7 +35,7 @@ from coulombus.host.plane.tip_model import (
 )
 from coulombus.host.world.softening import feeds_a_swing, soften
 from coulombus.kernels.decorator import kernel
-from coulombus.rigs.kinematics.mechanism_records import JOINTS
+from coulombus.rigs.kinematics.mechanisms import JOINTS
 from coulombus.wire.frame import Queue
 
 __all__ = ["finish_joints"]

@@ -15,8 +15,7 @@ from coulombus.host.plane.plane_host_record import PlaneHostRecord
 from coulombus.host.plane.plane_step import PlaneFunctions
 from coulombus.host.world.records import LocalModelRecord
 from coulombus.kernels.records import FloatField, IntegerField, Record, RecordArray, dtype_of
-from coulombus.rigs.devices import TABLE_POINTS
-from coulombus.rigs.hysteresis import MOST_PLAYS
+from coulombus.rigs.devices import MOST_PLAYS, TABLE_POINTS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 

@@ -85,7 +85,7 @@ def trip_text(axis: Axis, control: Records, host: Records) -> str | None:
         text += ", and whether the world outside gives more energy than it takes"
     if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.EMCY_SENSOR):
         text += f" (error code {int(host['emcy_code'][0]):04X}h)"
-    return axis.said(text)
+    return axis.spell_keys(text)
 
 
 def _foreign(host: Records) -> str:

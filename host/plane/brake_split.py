@@ -49,7 +49,7 @@ import math
 from coulombus.host.plane.plane_host_record import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.records import FloatField, Floats
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
+from coulombus.rigs.kinematics.mechanisms import JOINTS, PoseRecord
 
 __all__ = ["expect_brakes", "hold", "observe", "release", "slip"]
 

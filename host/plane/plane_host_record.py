@@ -6,7 +6,7 @@ from typing import Annotated
 
 from coulombus.host.laws.plane.plane_law import PlaneLawRecord, PlaneMotionRecord, PlaneStateRecord
 from coulombus.kernels.records import FloatField, IntegerField, Record
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismRecord, PoseRecord
+from coulombus.rigs.kinematics.mechanisms import JOINTS, MechanismRecord, PoseRecord
 
 __all__ = ["ACTIVE", "HYBRID", "PASSIVE", "TRACK", "PlaneHostRecord", "SplitControlRecord", "SplitStateRecord"]
 

@@ -12,7 +12,7 @@ from coulombus.host.laws.plane.plane_law import PlaneLawFunction
 from coulombus.host.plane.brake_split import expect_brakes, hold, observe, release, slip
 from coulombus.host.plane.plane_host_record import ACTIVE, TRACK, PlaneHostRecord
 from coulombus.kernels.decorator import kernel
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction
+from coulombus.rigs.kinematics.mechanisms import JOINTS, MechanismFunction
 from coulombus.rigs.kinematics.pose_kernels import condition, locate
 
 __all__ = ["PlaneFunctions", "evaluate", "in_workspace", "may_display", "measure_plane", "plane_step", "share_out"]

@@ -27,7 +27,7 @@ from coulombus.host.world.local_model import PASSIVE, advance_model, parameter_o
 from coulombus.host.world.records import OFFERS, LocalModelRecord, ModelParts
 from coulombus.host.world.softening import come_back, field_stiffness
 from coulombus.kernels.decorator import kernel
-from coulombus.rigs.kinematics.mechanism_records import JOINTS
+from coulombus.rigs.kinematics.mechanisms import JOINTS
 
 __all__ = ["add_tip_model", "end_tip_model", "follow_tip_model", "resist_at_rest", "unpaid"]
 

@@ -105,7 +105,7 @@ def _clipped(k: Controller) -> Iterator[str]:
         count = int(k.host[name][0])
         if count:
             cycles = "1 cycle" if count == 1 else f"{count} cycles"
-            yield f"{_axis(k)}in {cycles} {k.axis.said(what.format(mode=k.mode))}: {name}"
+            yield f"{_axis(k)}in {cycles} {k.axis.spell_keys(what.format(mode=k.mode))}: {name}"
 
 
 def _too_early(k: Controller) -> Iterator[str]:
@@ -126,7 +126,7 @@ def _too_early(k: Controller) -> Iterator[str]:
         when = "never" if full_s is None else f"after {full_s:.3f} s"
         yield (
             f"{_axis(k)}the law was shown whole {when}, and the schedule's phase {phase.kind} began after {begins_s:g} s: "
-            + k.axis.said("a longer rest before it, or less of law.gain_ramp_s, shows all of it")
+            + k.axis.spell_keys("a longer rest before it, or less of law.gain_ramp_s, shows all of it")
         )
 
 

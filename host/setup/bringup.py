@@ -30,8 +30,8 @@ from coulombus.host.setup.law_demand import check_demand
 from coulombus.host.setup.mode_display import check_shown_mode, mode_remedy, mode_words
 from coulombus.host.setup.position_scale import scale_differences
 from coulombus.host.setup.settings import Setting, encoded, number_of
+from coulombus.rigs.device_services import beats, is_guarded
 from coulombus.rigs.devices import drive_axis_of
-from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
 from coulombus.wire.bus_link import FrameLink

@@ -22,11 +22,10 @@ from coulombus.host.setup.host_loss import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.position_scale import BelievedScale, believed_scale, early_wrap, remark_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.device_services import beats, emcy_default
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, drive_axis_of
-from coulombus.rigs.emergency import emcy_default
-from coulombus.rigs.guarding import beats
+from coulombus.rigs.errors import Problem
 from coulombus.rigs.pdo_maps import mode_of, writable
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import CIA402, profile_of
 
 __all__ = ["MODE_DISPLAY", "NOT_SHOWN", "SUPPORTED_MODES", "DevicePlan", "device_plans", "missing_mode", "steps_of"]
@@ -129,7 +128,7 @@ class _Planner:
         reactions = reactions_of(self.axis, self.node, settable) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
             self._acknowledge(NO_REACTION, "its last set-point acts on after the loss of the host", self._acts)
-        spelled = self.axis.said
+        spelled = self.axis.spell_keys
         return DevicePlan(
             name=self.name,
             node_id=self.part.node_id,

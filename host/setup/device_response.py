@@ -22,7 +22,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import NodeMissing, SafetyTrip
 from coulombus.host.setup.bringup import ControlPlane, configure, plans_of, wait_operational
 from coulombus.host.setup.device_plan import DevicePlan
-from coulombus.rigs.emergency import emcy_identifier
+from coulombus.rigs.device_services import emcy_identifier
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bits import frame_bits

@@ -9,8 +9,8 @@ from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.device_services import is_guarded, life_of
 from coulombus.rigs.devices import Brake, Motor, drive_axis_of
-from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.roles import CIA402, profile_of
 
 __all__ = ["NO_REACTION", "Reaction", "reactions_of"]

@@ -20,9 +20,8 @@ from coulombus.eds.drive_scale import POLARITY
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.device_services import emcy_default, emcy_identifier, is_guarded, is_mute, life_of
 from coulombus.rigs.devices import Brake, DeviceSection, Motor, drive_axis_of
-from coulombus.rigs.emergency import emcy_default, emcy_identifier, is_mute
-from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
 from coulombus.rigs.signals import RigPdo

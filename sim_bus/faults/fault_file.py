@@ -29,8 +29,7 @@ from typing import Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import Document, Key, read_text, read_toml
+from coulombus.rigs.toml_lines import Document, Key, of_another_kind, read_text, read_toml
 from coulombus.sim_bus.can_bus.records import MAX_FAULTS
 from coulombus.sim_bus.faults.error_text import mistakes
 from coulombus.sim_bus.faults.fault_kinds import KINDS, AnyFault, Controller, Strict

@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coulombus.eds.cia301 import NmtCommand
-from coulombus.rigs.toml_kind import of_another_kind
-from coulombus.rigs.toml_lines import read_text, read_toml
+from coulombus.rigs.toml_lines import of_another_kind, read_text, read_toml
 from coulombus.sim_bus.network.device_faults import FAULTS, OF_EVERY_NODE, SILENT
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.system.errors import CoulombusError

@@ -14,7 +14,7 @@ from coulombus.cli.main import main
 from coulombus.eds.check import check
 from coulombus.eds.reader import read_eds
 from coulombus.lab.simulate import simulate
-from coulombus.rigs.emergency import emcy_identifier, is_mute
+from coulombus.rigs.device_services import emcy_identifier, is_mute
 from coulombus.sim_bus.network.event_loop import BRAKE
 
 MS = 1_000_000

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.lab.set_up import set_up
-from coulombus.rigs.guarding import life_of
+from coulombus.rigs.device_services import life_of
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection

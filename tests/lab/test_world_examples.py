@@ -70,8 +70,8 @@ def test_a_motor_alone_displays_no_wall_in_full_that_a_brake_does():
     example = runpy.run_path(str(FOLDER / "z_width.py"))
     assert [example["in_full"](mode, 3000.0, 0.0) for mode in ("active", "hybrid")] == [False, True]
     assert [example["stable"](K, 0.0) for K in (40.0, 45.0)] == [True, False]
-    assert example["most"](lambda value: value < 3, (1, 2, 3, 4)) == 2
-    assert example["most"](lambda value: False, (1, 2)) == 0.0
+    assert example["largest_that_holds"](lambda value: value < 3, (1, 2, 3, 4)) == 2
+    assert example["largest_that_holds"](lambda value: False, (1, 2)) == 0.0
 
 
 def test_the_numbers_of_mujoco_become_a_wall_a_spring_and_friction():
@@ -137,10 +137,10 @@ def test_a_ros_topic_holds_for_its_time_and_no_longer():
     example = runpy.run_path(str(FOLDER / "ros2_node.py"))
     commands = example["Commands"]()
     assert commands.model(0.0) == Model(life_s=0.2)
-    assert commands.take("wall", [0.5, 8.0, 0.1], 1.0) is None
-    assert commands.take("spring", [0.1, 2.0, 0.0], 1.1) is None
-    assert commands.take("friction", [2.0, 1.5], 1.1) is None
-    assert commands.take("wall", [0.5, 8.0], 1.15) == "wall: expected 3 numbers, got 2"
+    assert commands.update("wall", [0.5, 8.0, 0.1], 1.0) is None
+    assert commands.update("spring", [0.1, 2.0, 0.0], 1.1) is None
+    assert commands.update("friction", [2.0, 1.5], 1.1) is None
+    assert commands.update("wall", [0.5, 8.0], 1.15) == "wall: expected 3 numbers, got 2"
     model = commands.model(1.15)
     assert (model.wall, model.spring) == (Wall(0.5, 8.0, 0.1), Spring(0.1, 2.0))
     assert model.parameters == {"F_s_Nm": 2.0, "F_d_Nm": 1.5}

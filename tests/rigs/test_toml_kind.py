@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
-from coulombus.rigs.toml_kind import KINDS
+from coulombus.rigs.toml_lines import KINDS
 from places import ROOT
 
 EXAMPLES = {
@@ -44,7 +44,6 @@ def test_a_file_of_another_kind_is_one_mistake(tmp_path, expected, given):
 
 @pytest.mark.parametrize("kind", [kind for kind, path in EXAMPLES.items() if path])
 def test_a_file_of_its_kind_is_taken(kind, tmp_path):
-    from coulombus.rigs.toml_kind import of_another_kind
-    from coulombus.rigs.toml_lines import read_toml
+    from coulombus.rigs.toml_lines import of_another_kind, read_toml
 
     assert of_another_kind(read_toml((ROOT / EXAMPLES[kind]).read_text()).values, kind) is None

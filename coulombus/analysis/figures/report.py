@@ -11,6 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from coulombus.analysis.figures.frequency import write_frequency_figures
+from coulombus.analysis.figures.rig import (
+    write_bus_figure,
+    write_fig12,
+    write_fig13,
+    write_fig14,
+    write_map,
+    write_stick_figure,
+)
+from coulombus.analysis.figures.time import write_delay_figure, write_fig10, write_orbit_figure
 from coulombus.analysis.rig.friction_study import FrictionStudy, friction_study
 from coulombus.analysis.rig.hold import HoldStudy, hold_study
 from coulombus.analysis.rig.maps import OscillationMap, oscillation_map
@@ -36,7 +46,9 @@ __all__ = [
     "plain",
     "study",
     "weights_at",
+    "write_all",
 ]
+
 
 STARTS = 200
 DISK_POINTS = 101
@@ -309,3 +321,18 @@ def lines(results: TheoryResults) -> Iterable[str]:
         f"friction ({results.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
         f"viscous {f.viscous_Nms_rad:.4f} Nms/rad"
     )
+
+
+def write_all(directory: Path, results: TheoryResults) -> list[Path]:
+    """Write every figure of `results` as PNG and SVG; return the paths."""
+    paths = write_frequency_figures(directory, results.parameters, results.crossings, results.absolute)
+    paths += write_fig10(directory, results.fig10)
+    paths += write_orbit_figure(directory, results.parameters, results.orbits)
+    paths += write_delay_figure(directory, results.delays)
+    paths += write_fig12(directory)
+    paths += write_fig13(directory, results.friction)
+    paths += write_fig14(directory, results.hold)
+    paths += write_stick_figure(directory, results.hold)
+    paths += write_bus_figure(directory, results.through_bus)
+    paths += write_map(directory, results.map)
+    return paths

@@ -31,7 +31,7 @@ from scipy.linalg import expm
 from coulombus.analysis.rig.maps import Floats, LoopParameters, oscillation_map
 from coulombus.analysis.theory.bounds import Bounds, bounds
 
-__all__ = ["Chatter", "Curve", "Quiet", "chatter", "device"]
+__all__ = ["Chatter", "Quiet", "QuietCurve", "chatter", "device"]
 
 TAPS, SLOWEST_COUNTS, FASTEST_COUNTS = 32, 1.5, 60.0
 """Taps, and the speed after the slowest and the fastest of them, in counts a sample of the device."""
@@ -70,7 +70,7 @@ class Quiet:
 
 
 @dataclass(frozen=True)
-class Curve:
+class QuietCurve:
     """Quiet friction [Nm] over the rate [Hz], for one encoder."""
 
     name: str
@@ -88,7 +88,7 @@ class Chatter:
     bounds: Bounds
     """Of the literature, for the wall of `quiet`."""
     brake_Nm: float
-    curves: tuple[Curve, ...]
+    curves: tuple[QuietCurve, ...]
     """Empty unless they were asked for."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -124,24 +124,24 @@ class Chatter:
         text = [f"{'':22}{'friction':>13}{'sure':>13}{'at':>8}{'wall':>16}{'at':>8}"]
         for name, quiet in rows:
             text.append(
-                f"{name:22}{_told(quiet.friction_Nm, 'Nm'):>13}{_told(quiet.sure_Nm, 'Nm'):>13}"
-                f"{_told(quiet.frequency_Hz, 'Hz', 3):>8}{_told(quiet.stiffness_Nm_rad, 'Nm/rad'):>16}"
-                f"{_told(quiet.wall_frequency_Hz, 'Hz', 3):>8}"
+                f"{name:22}{_quantity(quiet.friction_Nm, 'Nm'):>13}{_quantity(quiet.sure_Nm, 'Nm'):>13}"
+                f"{_quantity(quiet.frequency_Hz, 'Hz', 3):>8}{_quantity(quiet.stiffness_Nm_rad, 'Nm/rad'):>16}"
+                f"{_quantity(quiet.wall_frequency_Hz, 'Hz', 3):>8}"
             )
         if self.brake_Nm:
             name = f"a brake of {self.brake_Nm:g} Nm"
-            text.append(f"{name:22}{_told(self.brake_Nm + self.quiet.friction_Nm, 'Nm'):>13}")
+            text.append(f"{name:22}{_quantity(self.brake_Nm + self.quiet.friction_Nm, 'Nm'):>13}")
         b = self.bounds
         text += [
             "",
             "friction: the most that the motor alone displays before half of the taps start a limit cycle;",
             "sure: before any of them does; wall: a spring that is stable, exactly; at: frequency just above",
-            f"certified for any passive hand: a wall of {_told(min(b.colgate_Nm_rad, b.diolaiti_Nm_rad), 'Nm/rad')} (Colgate, Diolaiti)",
+            f"certified for any passive hand: a wall of {_quantity(min(b.colgate_Nm_rad, b.diolaiti_Nm_rad), 'Nm/rad')} (Colgate, Diolaiti)",
         ]
         return text
 
 
-def _told(value: float, unit: str, digits: int = 4) -> str:
+def _quantity(value: float, unit: str, digits: int = 4) -> str:
     if math.isnan(value):
         return "-"
     return "no bound" if math.isinf(value) else f"{value:.{digits}g} {unit}"
@@ -245,7 +245,7 @@ def chatter(
             other = replace(loop, rate_Hz=loop.rate_Hz * factor, count_rad=loop.count_rad / finer)
             levels.append(_friction(other)[0])
             step()
-        by_encoder.append(Curve(name, loop.rate_Hz * RATES, np.array(levels)))
+        by_encoder.append(QuietCurve(name, loop.rate_Hz * RATES, np.array(levels)))
     literature = bounds(
         quiet.stiffness_Nm_rad if math.isfinite(quiet.stiffness_Nm_rad) else 0.0,
         loop.viscous_Nms_rad,

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.analysis.rig.runs import displayed, need_modes
-from coulombus.lab.demo.traces import HANDLE, Traces, traces
+from coulombus.lab.demo.traces import HANDLE, DemoTraces, traces
 from coulombus.recording.measures import measure, phases, velocity
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
@@ -110,7 +110,7 @@ class HoldStudy:
     rig: str
     rows: tuple[HoldRow, ...]
     """Active first, then hybrid in the order of `STICK_VARIANTS`."""
-    traces: dict[str, Traces]
+    traces: dict[str, DemoTraces]
     """Traces of active, and of hybrid with the rig's settings: Fig. 14."""
 
     @property

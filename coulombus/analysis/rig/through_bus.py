@@ -42,7 +42,7 @@ __all__ = [
     "ACTUATIONS",
     "BENCH_HARDWARE",
     "BusCycle",
-    "Delay",
+    "MeasuredDelay",
     "bus_cycle",
     "loop_delay",
     "through_bus",
@@ -61,7 +61,7 @@ TAP_M_S = 0.05
 
 
 @dataclass(frozen=True)
-class Delay:
+class MeasuredDelay:
     """Delay from sampling (SYNC has ended) to actuation [s], over the cycles of a recording."""
 
     median_s: float
@@ -106,7 +106,7 @@ class BusCycle:
         }
 
 
-def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float("inf")) -> Delay:
+def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float("inf")) -> MeasuredDelay:
     """Return the delay from sampling to actuation, from the frames' stamps alone.
 
     The nodes sample when a SYNC has ended on the wire. The response is the next RPDO to the motor;
@@ -136,7 +136,7 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
     else:
         delays = answers - syncs[sampled]
     delays = delays + (recording.rig.bus.cycles_to_actuation - 1) * recording.rig.bus.period_ns
-    return Delay(float(np.median(delays)) * 1e-9, float(np.min(delays)) * 1e-9, float(np.max(delays)) * 1e-9)
+    return MeasuredDelay(float(np.median(delays)) * 1e-9, float(np.min(delays)) * 1e-9, float(np.max(delays)) * 1e-9)
 
 
 def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:

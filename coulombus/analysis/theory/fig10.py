@@ -14,11 +14,10 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from coulombus.analysis.theory.delay import sign_changes
 from coulombus.analysis.theory.linear import sample
-from coulombus.analysis.theory.operator_force import PAPER_FORCE, HarmonicForce, work
 from coulombus.analysis.theory.operators import Floats
 from coulombus.analysis.theory.parameters import Parameters
 from coulombus.analysis.theory.relay_loop import forced
-from coulombus.analysis.theory.stick_slip import passive_motion
+from coulombus.analysis.theory.stick_slip import PAPER_FORCE, HarmonicForce, passive_motion, work
 
 __all__ = ["Fig10", "Run", "active_run", "figure_10", "passive_run", "rms_above"]
 

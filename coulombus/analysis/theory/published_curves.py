@@ -104,7 +104,7 @@ class LiteratureCurve:
         return "below 0.001 %" if self.deviation < 1e-5 else f"{100 * self.deviation:.2g} %"
 
 
-def _given(name: str, **values: float) -> GivenLaw:
+def _law(name: str, **values: float) -> GivenLaw:
     return given_law(name, [f"{key}={value!r}" for key, value in values.items()])
 
 
@@ -137,7 +137,7 @@ def _presliding() -> LiteratureCurve:
     levels = 0.95 * CANUDAS["F_s_Nm"] * np.array([0.0, 1.0, 1.0, -1.0, -1.0, 1.0])
     t_s = np.arange(0.0, 60.0 + 1e-9, CYCLE_S)
     moved = continuous(lambda t: float(np.interp(t, corners, levels)), 60.0, t_s)
-    law = _along(_given("lugre", **CANUDAS), t_s, moved.x)
+    law = _along(_law("lugre", **CANUDAS), t_s, moved.x)
     line = LiteratureLine("force to 0.95 F_s and back", moved.x * 1e6, moved.friction, moved.x * 1e6, law)
     obtained = f"{TABLE_1}; 1 kg; ramps of 10 and 20 s, holds of 5 s (not printed)"
     return LiteratureCurve(
@@ -160,7 +160,7 @@ def _frictional_lag() -> LiteratureCurve:
         v = speed(t_s)
         z_rate = np.array([_lugre_rate(*pair) for pair in zip(v, z, strict=True)])
         published = CANUDAS["sigma_0_Nm_rad"] * z + CANUDAS["sigma_1_Nms_rad"] * z_rate + CANUDAS["sigma_2_Nms_rad"] * v
-        law = _along(_given("lugre", **CANUDAS), t_s, x)
+        law = _along(_law("lugre", **CANUDAS), t_s, x)
         turn = t_s > seconds - 2 * math.pi / omega
         v_mm = v[turn] * 1e3
         shown.append(LiteratureLine(f"{omega:g} rad/s", v_mm, published[turn], v_mm, law[turn]))
@@ -172,7 +172,7 @@ def _frictional_lag() -> LiteratureCurve:
 
 
 def _break_away() -> LiteratureCurve:
-    law, published, computed = _given("lugre", **CANUDAS), [], []
+    law, published, computed = _law("lugre", **CANUDAS), [], []
     for rate in FORCE_RATES:
         ramped = continuous(lambda t, rate=rate: rate * t, 2.5 / rate)  # type: ignore[misc]
         published.append(float(ramped.friction.max()))
@@ -192,7 +192,7 @@ def _break_away() -> LiteratureCurve:
 
 
 def _stick_slip() -> LiteratureCurve:
-    course = course_of(_given("lugre", **CANUDAS), 30.0, EVERY, spring=SPRING, speed=PULL)
+    course = course_of(_law("lugre", **CANUDAS), 30.0, EVERY, spring=SPRING, speed=PULL)
     t_s = np.asarray(course["t_s"], np.float64)
     pulled = continuous(lambda t: SPRING * PULL * t, 30.0, t_s, spring=SPRING)
     line = LiteratureLine("position of the mass", t_s, pulled.x, t_s, np.asarray(course["x"], np.float64))
@@ -216,7 +216,7 @@ def _dahl() -> LiteratureCurve:
             return sense * (left**exponent if left > 0.0 else 0.0)
 
         published = _integrated(rate, t_s, ends[:2])
-        law = _along(_given("dahl", F_c_Nm=1.0, sigma_Nm_rad=1.0, alpha=exponent), t_s, x)
+        law = _along(_law("dahl", F_c_Nm=1.0, sigma_Nm_rad=1.0, alpha=exponent), t_s, x)
         shown.append(LiteratureLine(f"exponent {exponent:g}", x, published, x, law))
     return LiteratureCurve(
         *("dahl-loops", "dahl", "loops (1968)", "normalised: no parameter but the exponent"),
@@ -225,7 +225,7 @@ def _dahl() -> LiteratureCurve:
 
 
 def _kikuuwe() -> LiteratureCurve:
-    law = _given("kikuuwe")
+    law = _law("kikuuwe")
     F_c, K, B = (value for _, value in law.parameters)
     t_s = np.arange(0.0, 2.0, CYCLE_S)
     omega, shown = 2 * math.pi, []

@@ -23,9 +23,9 @@ from coulombus.kernels.decorator import kernel
 
 __all__ = [
     "LARGEST_START",
-    "Loop",
+    "RelayLoop",
+    "RelayTraces",
     "SteadyMotion",
-    "Traces",
     "forced",
     "random_starts",
     "relay_steps",
@@ -37,7 +37,7 @@ LARGEST_START = (3e-3, 0.05)
 """|x0| [m] and |v0| [m/s] of random starts."""
 
 
-class Loop(NamedTuple):
+class RelayLoop(NamedTuple):
     """The loop's constants."""
 
     phi: Floats
@@ -49,7 +49,7 @@ class Loop(NamedTuple):
     resolution: float  # 0: no encoder
 
 
-class Traces(NamedTuple):
+class RelayTraces(NamedTuple):
     """Inputs and outputs per step."""
 
     work: Floats  # (steps or 0, states): the operator's part of each step
@@ -59,7 +59,7 @@ class Traces(NamedTuple):
 
 
 @kernel
-def relay_steps(loop: Loop, y: Floats, x_before: float, steps: int, traces: Traces) -> None:
+def relay_steps(loop: RelayLoop, y: Floats, x_before: float, steps: int, traces: RelayTraces) -> None:
     """Step the loop `steps` times from `y` (changed in place) and `x_before` = x_{-1}."""
     phi, gamma_0, gamma_1, whole, period, friction, resolution = loop
     work, path, estimate, force = traces
@@ -135,8 +135,8 @@ def random_starts(parameters: Parameters, count: int, seed: int) -> Floats:
 _NONE = np.zeros((0, 0))
 
 
-def _loop(linear: SampledPlant, p: Parameters) -> Loop:
-    return Loop(
+def _loop(linear: SampledPlant, p: Parameters) -> RelayLoop:
+    return RelayLoop(
         linear.phi, linear.gamma_0, linear.gamma_1, linear.whole_cycles, p.period_s, p.friction_N, p.resolution_m
     )
 
@@ -148,7 +148,7 @@ def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: i
     estimate, force = np.empty(count), np.empty(count)
     y = start.copy()
     before = start[0] - start[1] * parameters.period_s
-    relay_steps(_loop(linear, parameters), y, before, steps, Traces(_NONE, _NONE, estimate, force))
+    relay_steps(_loop(linear, parameters), y, before, steps, RelayTraces(_NONE, _NONE, estimate, force))
     return SteadyMotion(estimate, force)
 
 
@@ -167,5 +167,5 @@ def forced(linear: SampledPlant, parameters: Parameters, work: Floats) -> tuple[
     """
     steps, n = work.shape
     path, estimate, force = np.empty((steps, n)), np.empty(steps), np.empty(steps)
-    relay_steps(_loop(linear, parameters), np.zeros(n), 0.0, steps, Traces(work, path, estimate, force))
+    relay_steps(_loop(linear, parameters), np.zeros(n), 0.0, steps, RelayTraces(work, path, estimate, force))
     return path, estimate, force

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "share_labels", "traces"]
+__all__ = ["HANDLE", "DemoTraces", "draw_detail", "draw_traces", "figure_14", "share_labels", "traces"]
 
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
 HANDLE = "brake.handle_torque_Nm"
@@ -29,7 +29,7 @@ WIDTH, MARGIN, HEIGHT = 3.1, 0.6, 7.4
 
 
 @dataclass(frozen=True)
-class Traces:
+class DemoTraces:
     """Curves of a panel; times count from the start of the schedule."""
 
     title: str
@@ -48,7 +48,7 @@ class Traces:
         return f"hand, {'measured' if len(self.handle_Nm) else 'not measured'}"
 
 
-def traces(recording: Source, mode: str) -> Traces:
+def traces(recording: Source, mode: str) -> DemoTraces:
     """Return the traces of `recording`, made in `mode`, over its schedule."""
     spans = phases(recording)
     start = spans[0].begin_s if spans else 0.0
@@ -66,7 +66,7 @@ def traces(recording: Source, mode: str) -> Traces:
     moved = tuple(replace(span, begin_s=span.begin_s - start, end_s=span.end_s - start) for span in spans)
     commands = {device: cut(signal.t_s, signal.values) for device, signal in zip(names, others, strict=True)}
     shown = {device: command for device, command in commands.items() if command[1].any()}
-    return Traces(_title(recording, mode), *cut(t, v), *cut(handle.t_s, handle.values), shown, moved)
+    return DemoTraces(_title(recording, mode), *cut(t, v), *cut(handle.t_s, handle.values), shown, moved)
 
 
 def _title(recording: Source, mode: str) -> str:
@@ -88,7 +88,7 @@ def _draw_envelope(axes: Axes, t_s: Floats, values: Floats, colour: str, label: 
     axes.plot(t_s[first], mean, color=colour, lw=1.0, label=label)
 
 
-def draw_traces(torque: Axes, speed: Axes, data: Traces, title: str) -> None:
+def draw_traces(torque: Axes, speed: Axes, data: DemoTraces, title: str) -> None:
     """Draw torque and velocity of one recording into two axes, phases marked."""
     torque.set_title(f"{title}\n{data.title}")
     for device, (t_s, values) in data.commands.items():
@@ -117,7 +117,7 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, title: str) -> None:
         )
 
 
-def draw_detail(axes: Axes, data: Traces) -> None:
+def draw_detail(axes: Axes, data: DemoTraces) -> None:
     """Draw a tenth of a second of the velocity in the hold, sample by sample: a limit cycle, or rest."""
     begin_s = DETAIL_FROM_S + next((span.begin_s for span in data.phases if span.kind == "hold"), 0.0)
     inside = (data.t_s >= begin_s) & (data.t_s < begin_s + DETAIL_S)

@@ -34,7 +34,7 @@ from coulombus.rigs.signals import RigPdo
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.frame import Records
 
-__all__ = ["Difference", "HostReplay", "ReplayError", "host_replay"]
+__all__ = ["HostReplay", "ReplayDifference", "ReplayError", "host_replay"]
 
 
 class ReplayError(CoulombusError):
@@ -44,7 +44,7 @@ class ReplayError(CoulombusError):
 
 
 @dataclass(frozen=True)
-class Difference:
+class ReplayDifference:
     """The first frame that differs; `recorded` or `computed` is None if missing."""
 
     t_s: float
@@ -71,7 +71,7 @@ class HostReplay:
     """Frames that the step sent and the bus refused: they are not in the recording."""
     unchecked: int = 0
     """Recorded frames after the trace's end: the recording process was killed, or the file is torn."""
-    difference: Difference | None = None
+    difference: ReplayDifference | None = None
     rms: dict[str, float] | None = None
     """With overrides: RMS difference of each commanded signal [its unit]."""
     judged: bool = True
@@ -118,7 +118,7 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
     if [pdo.layout for pdo in variant.pdos()] != [pdo.layout for pdo in recording.rig.pdos()]:
         raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
     controllers = Controllers(variant, mode)
-    host_data = _known(recording, controllers)
+    host_data = _host_data(recording, controllers)
     models = _models(recording, controllers, host_data.inputs)
     host_data = host_data._replace(
         inputs=replace(host_data.inputs, orders=_orders(recording, controllers, host_data.inputs), models=models)
@@ -179,7 +179,7 @@ def _models(recording: Recording, controllers: Controllers, inputs: Inputs) -> d
     return models
 
 
-class _Known(NamedTuple):
+class _HostData(NamedTuple):
     """Data of the host in a recording."""
 
     inputs: Inputs
@@ -191,7 +191,7 @@ class _Known(NamedTuple):
     """Frames of the host after that."""
 
 
-def _known(recording: Recording, controllers: Controllers) -> _Known:
+def _host_data(recording: Recording, controllers: Controllers) -> _HostData:
     attachments = recording.capture.attachments
     in_virtual_time = "seed" in attachments and "bus" not in attachments
     content = unpack(attachments, EVENT if in_virtual_time else TRACE)
@@ -216,12 +216,12 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
         from_host = (of_the_host & once)[: len(frames)]
         inputs = Inputs(frames[~sent_flags[: len(frames)]], trace)
         behind = int(np.sum((of_the_host & once)[len(sent_flags) :]))
-        return _Known(inputs, frames[from_host] if sent is None else sent, last_ns, behind)
+        return _HostData(inputs, frames[from_host] if sent is None else sent, last_ns, behind)
     from_host = of_the_host.copy()
     from_host[: len(sent_flags)] = sent_flags[: len(from_host)]
     if len(trace) and trace["dropped"].any():
         trace = trace[: int(np.argmax(trace["dropped"] > 0))]  # the log was full: later frames are missing
-    return _Known(Inputs(recording.frames[~from_host], trace), recording.frames[from_host & once], last_ns)
+    return _HostData(Inputs(recording.frames[~from_host], trace), recording.frames[from_host & once], last_ns)
 
 
 def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bool_]:
@@ -238,7 +238,7 @@ def _copies(recording: Recording, controllers: Controllers) -> npt.NDArray[np.bo
 class _Check:
     """Compares computed frames with the recording, per identifier in order."""
 
-    def __init__(self, recording: Recording, controllers: Controllers, host_data: _Known, *, keep: bool) -> None:
+    def __init__(self, recording: Recording, controllers: Controllers, host_data: _HostData, *, keep: bool) -> None:
         self.recording, self.controllers, self.keep = recording, controllers, keep
         self.result = HostReplay(recording.path, controllers.mode)
         self.pdos = {pdo.layout.cob_id: pdo for pdo in recording.rig.pdos() if pdo.layout.direction == "rpdo"}
@@ -266,7 +266,7 @@ class _Check:
             if inputs.virtual and self._ended(sent):
                 break
             result.cycles = sent.cycle
-            self._take(sent)
+            self._compare(sent)
             if result.difference is not None and not self.keep:
                 return
         left = [
@@ -293,7 +293,7 @@ class _Check:
             self.result.remarks += (f"{where} in phase {phases}",)
         return True
 
-    def _take(self, sent: HostFrame) -> None:
+    def _compare(self, sent: HostFrame) -> None:
         can_id = sent.can_id
         stream, at = self.streams[can_id], self.at[can_id]
         if at == len(stream) or stream[at][0] > sent.until_ns:  # not in the recording
@@ -323,7 +323,7 @@ class _Check:
         values = [_values(pdo, payload) for payload in (recorded, computed)]
         signals = {name: (values[0].get(name), values[1].get(name)) for name in values[0] | values[1]}
         t_s = (t_ns - self.recording.epoch_ns) / 1e9
-        self.result.difference = Difference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
+        self.result.difference = ReplayDifference(t_s, cycle, self.name(can_id), texts[0], texts[1], signals)
 
     def _rms(self) -> dict[str, float]:
         rms = {}

@@ -52,7 +52,7 @@ class Tape:
     t_ns: Integers
     remarks: tuple[str, ...] = ()
 
-    def take(self, mask: npt.NDArray[np.bool_]) -> Tape:
+    def select(self, mask: npt.NDArray[np.bool_]) -> Tape:
         """Return only the frames that `mask` has."""
         return Tape(self.path, self.frames[mask], self.t_ns[mask], self.remarks)
 

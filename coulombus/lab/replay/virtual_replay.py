@@ -174,7 +174,7 @@ class _Comparison:
             raise _DifferentError
 
 
-class _Nodes(VirtualRig):
+class _NodesOfRig(VirtualRig):
     """The rig with its nodes, and a host that only listens: receiving a frame makes the devices
     sample, and sampling consumes random noise.
     """
@@ -195,7 +195,7 @@ def _compute(
     if "bus" in recording.capture.attachments:
         _compute_paced(recording, mode, seed, sent, on_frames)
         return
-    world = _Nodes(recording.rig, mode, seed=seed, on_frames=on_frames)
+    world = _NodesOfRig(recording.rig, mode, seed=seed, on_frames=on_frames)
     frames = recording.frames
     marked = [row for row, text in recording.capture.comments if text.startswith("run ")]
     begin = marked[0] if marked else len(frames)

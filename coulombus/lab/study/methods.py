@@ -1,6 +1,6 @@
 r"""The psychophysical methods: which level a trial shows, from the answers so far.
 
-A method has its trials of one condition. `level` is what the next trial shows, `take` learns the
+A method has its trials of one condition. `level` is what the next trial shows, `update` learns the
 answer. Both draw from the generator that they are given and from nothing else: the same answers
 lead to the same levels, which is how an interrupted session goes on.
 
@@ -38,7 +38,7 @@ class Method(Protocol):
     def level(self) -> float:
         """Return what the next trial shows."""
 
-    def take(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Learn of the answer at a level."""
 
 
@@ -62,7 +62,7 @@ class Fixed:
         """Return what the next trial shows."""
         return self._waiting[-1]
 
-    def take(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Go on to the next level."""
         self._waiting.pop()
 
@@ -88,7 +88,7 @@ class Staircase:
         """Return what the next trial shows."""
         return self._level
 
-    def take(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Go down after `down` right answers, up after a wrong one."""
         self._left -= 1
         self._right = self._right + 1 if right else 0
@@ -126,14 +126,14 @@ class Mirrored:
             self._turns = [True] if self._below.done else [bool(k) for k in self._rng.permutation(2)]
         return self._above.level() if self._turns[-1] else mirrored(self._below.level(), self._reference)
 
-    def take(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Let the staircase of the trial learn of the answer. At the reference, `right` means that the
         level was judged larger.
         """
         if self._turns.pop():
-            self._above.take(level, right)
+            self._above.update(level, right)
         else:
-            self._below.take(mirrored(level, self._reference), right != (level == self._reference))
+            self._below.update(mirrored(level, self._reference), right != (level == self._reference))
 
 
 def mirrored(level: float, reference: float) -> float:
@@ -191,7 +191,7 @@ class Quest:
             self._next = float(self._levels[np.argmin(entropy)])
         return self._next
 
-    def take(self, level: float, right: bool) -> None:
+    def update(self, level: float, right: bool) -> None:
         """Weigh each pair by the chance that it gave to the answer. At the reference, `right` means that
         the level was judged larger.
         """

@@ -83,10 +83,10 @@ class AnswerPage:
 
     async def _serve(self) -> None:
         shared = {"page": self}
-        routes = [(r"/([^/]*)/", _Html), (r"/([^/]*)/state", _State), (r"/([^/]*)/answer", _Answer)]
+        routes = [(r"/([^/]*)/", _SubjectPage), (r"/([^/]*)/state", _State), (r"/([^/]*)/answer", _SubjectAnswer)]
         server = tornado.httpserver.HTTPServer(
             tornado.web.Application(
-                [(place, handler, shared) for place, handler in (*routes, (r"/([^/]*)/stop", _Stop))],
+                [(place, handler, shared) for place, handler in (*routes, (r"/([^/]*)/stop", _SubjectStop))],
                 default_handler_class=Nothing,
                 default_handler_args=shared,
             ),
@@ -148,7 +148,7 @@ class AnswerPage:
         self._stop()
 
 
-class _Html(Handler):
+class _SubjectPage(Handler):
     async def get(self, _: str) -> None:
         nonce = secrets.token_urlsafe(16)
         policy = f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; "
@@ -169,7 +169,7 @@ class _State(Handler):
         self.finish(self.page.shown)
 
 
-class _Answer(Handler):
+class _SubjectAnswer(Handler):
     page: AnswerPage
 
     async def post(self, _: str) -> None:
@@ -183,7 +183,7 @@ class _Answer(Handler):
         self.finish("taken\n")
 
 
-class _Stop(Handler):
+class _SubjectStop(Handler):
     page: AnswerPage
 
     async def post(self, _: str) -> None:

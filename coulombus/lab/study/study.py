@@ -36,11 +36,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.setup.law_demand import cut_off
-from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
+from coulombus.lab.file_mistakes import FileMistakes, StrictTable, read_checked, rig_beside
 from coulombus.lab.study.change_bounds import widened
 from coulombus.lab.study.methods import mirrored
 from coulombus.rigs.errors import nearest, toml_value
@@ -71,11 +71,7 @@ class StudyError(CoulombusError, ValueError):
     exit_status = 3
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class Constant(_Strict):
+class Constant(StrictTable):
     """Constant stimuli, and magnitude estimation: each level so many times."""
 
     kind: Literal["constant", "magnitude"]
@@ -83,7 +79,7 @@ class Constant(_Strict):
     repeats: int = Field(ge=1, le=MOST_TRIALS)
 
 
-class Staircase(_Strict):
+class Staircase(StrictTable):
     """An adaptive staircase: down after `down` right answers, up after a wrong one. `sides` both: a
     second one is its mirror image below the reference.
     """
@@ -99,7 +95,7 @@ class Staircase(_Strict):
     sides: Literal["both", "above"] = "both"
 
 
-class Quest(_Strict):
+class Quest(StrictTable):
     """QUEST+ of threshold and point of subjective equality; `sides` both: down to the mirror image of `high`."""
 
     kind: Literal["quest"]
@@ -109,7 +105,7 @@ class Quest(_Strict):
     sides: Literal["both", "above"] = "both"
 
 
-class Free(_Strict):
+class Free(StrictTable):
     """Free exploration: displays without a question."""
 
     kind: Literal["free"]
@@ -130,19 +126,19 @@ COMPARED = ("constant", "staircase", "quest")
 """Methods that compare a level with the reference."""
 
 
-class _Condition(_Strict):
+class _Condition(StrictTable):
     name: str = Field(pattern=NAME)
     mode: Literal["active", "passive", "hybrid"] = "hybrid"
-    set: list[str] = []
+    set: list[str] = Field([])
 
 
-class _Factor(_Strict):
+class _Factor(StrictTable):
     name: str = Field(pattern=NAME)
     key: str = Field(min_length=1)
     values: list[Any] = Field(min_length=1, max_length=20)
 
 
-class StudyFile(_Strict):
+class StudyFile(StrictTable):
     """The keys of a study file."""
 
     name: str = Field(pattern=NAME)
@@ -160,7 +156,7 @@ class StudyFile(_Strict):
     level: dict[str, float] = Field(min_length=1)
     method: dict[str, Any]
     condition: list[_Condition] = Field(min_length=1, max_length=100)
-    factor: list[_Factor] = []
+    factor: list[_Factor] = Field([])
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,7 @@ class SubjectFolder:
             self._take_part()
             (self.own / "recordings").mkdir(parents=True, exist_ok=True)
             self._sessions = [*self._earlier(), {**self._meta, "version": project_version()}]
-            self._tell()
+            self._write_sidecar()
             if not self.events.exists():
                 _write(self.events, HEADER)
         except BaseException:
@@ -205,7 +205,7 @@ class SubjectFolder:
             return []
         return [session for session in sessions if isinstance(session, dict)] if isinstance(sessions, list) else []
 
-    def _tell(self) -> None:
+    def _write_sidecar(self) -> None:
         units = {column: {"Units": "s"} for column in SECONDS}
         sidecar: dict[str, Any] = {name: {"Description": text, **units.get(name, {})} for name, text in COLUMNS.items()}
         sidecar["TaskName"] = self.study.file.name
@@ -216,7 +216,7 @@ class SubjectFolder:
     def note(self, key: str, text: str) -> None:
         """Keep something of this session: whether the consent was given."""
         self._sessions[-1][key] = text
-        self._tell()
+        self._write_sidecar()
 
     def _describe(self) -> None:
         path = self.folder / "dataset_description.json"

@@ -150,7 +150,7 @@ class Trials:
         if now.training:
             self._training[self._place] -= 1
         else:
-            self._methods[self._place].take(now.level, now.larger_named(answer))
+            self._methods[self._place].update(now.level, now.larger_named(answer))
         self._now = None
 
 

@@ -36,7 +36,7 @@ class ClusterError(CoulombusError):
     exit_status = 2
 
 
-def on_cluster(job: Job, orders: Iterable[RunRequest], address: str) -> Iterator[FinishedRun]:
+def on_cluster(job: Job, requests: Iterable[RunRequest], address: str) -> Iterator[FinishedRun]:
     """Yield the results of the runs, by the workers of the dask.distributed scheduler at `address`.
 
     Its workers need this package, and the file of a user-defined law.
@@ -49,7 +49,7 @@ def on_cluster(job: Job, orders: Iterable[RunRequest], address: str) -> Iterator
         dask.distributed is not installed, no scheduler responds there, or a worker has other versions
     """
     cluster, client = _connected(address)
-    packed, versions, waiting = pickle.dumps(job), _versions(), iter(orders)
+    packed, versions, waiting = pickle.dumps(job), _versions(), iter(requests)
     at_work: dict[Any, Sequence[RunRequest]] = {}
     with client:
         if not client.nthreads():
@@ -87,7 +87,7 @@ def on_cluster(job: Job, orders: Iterable[RunRequest], address: str) -> Iterator
             yield from done
 
 
-def carry_out_batch(packed: bytes, orders: Sequence[RunRequest], expected: Mapping[str, str]) -> list[FinishedRun]:
+def carry_out_batch(packed: bytes, requests: Sequence[RunRequest], expected: Mapping[str, str]) -> list[FinishedRun]:
     """Carry out runs in a worker; `packed` is the pickled job, which another version could not read.
 
     Raises
@@ -102,7 +102,7 @@ def carry_out_batch(packed: bytes, orders: Sequence[RunRequest], expected: Mappi
         worker = importlib.import_module("distributed").get_worker().address
         raise ClusterError(f"the worker {worker} has {_text(versions)}, expected {_text(expected)}")
     job = pickle.loads(packed)
-    return [carry_out(job, request) for request in orders]
+    return [carry_out(job, request) for request in requests]
 
 
 def _connected(address: str) -> tuple[Any, Any]:

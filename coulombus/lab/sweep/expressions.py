@@ -18,7 +18,7 @@ from typing import Any
 from coulombus.rigs.errors import nearest
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["Condition", "ConditionError"]
+__all__ = ["ConditionError", "RunCondition"]
 
 LONGEST, DEEPEST, LARGEST = 500, 40, 1e300
 _ORDERS: Mapping[type, Callable[[Any, Any], bool]] = {
@@ -44,13 +44,13 @@ class ConditionError(CoulombusError, ValueError):
 
 
 @dataclass(frozen=True)
-class Condition:
+class RunCondition:
     """A checked condition."""
 
     text: str
 
     @classmethod
-    def of(cls, text: str, figures: Mapping[str, type]) -> Condition:
+    def from_text(cls, text: str, figures: Mapping[str, type]) -> RunCondition:
         """Return the condition `text` over `figures`.
 
         Raises
@@ -59,7 +59,7 @@ class Condition:
             it is not a condition, names an unknown figure, or compares a string with a number
         """
         tree = _tree(text)
-        kind = _Kinds(figures).of(tree)
+        kind = _Kinds(figures).kind_of(tree)
         if kind is not bool:
             raise ConditionError("it is not a comparison; expected, for example, hold_counts_p2p <= 2")
         return cls(text)
@@ -122,7 +122,7 @@ class _Kinds:
     def __init__(self, figures: Mapping[str, type]) -> None:
         self._known = figures
 
-    def of(self, node: ast.expr) -> type:
+    def kind_of(self, node: ast.expr) -> type:
         name = _dotted(node)
         if name is not None:
             return self._named(name)
@@ -165,12 +165,12 @@ class _Kinds:
         raise ConditionError(f"'{value}' is not allowed; expected a finite number or a text in quotes")
 
     def _expect(self, node: ast.expr, kind: type, what: str) -> None:
-        if self.of(node) is not kind:
+        if self.kind_of(node) is not kind:
             raise ConditionError(f"'{ast.unparse(node)}' is not {what}")
 
     def _compared(self, node: ast.Compare) -> type:
         parts = [node.left, *node.comparators]
-        kinds = [self.of(part) for part in parts]
+        kinds = [self.kind_of(part) for part in parts]
         for op, left, right, a, b in zip(node.ops, parts, parts[1:], kinds, kinds[1:], strict=False):
             if type(op) in _ORDERS:
                 self._expect(left, float, "a number")

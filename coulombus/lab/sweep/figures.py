@@ -10,6 +10,7 @@ from typing import Any, TypeAlias, get_args, get_type_hints
 from coulombus.host.cycle.controller import COUNTERS
 from coulombus.host.run.result import RunResult
 from coulombus.rigs.rig import Rig
+from coulombus.rigs.toml_lines import value_at
 
 __all__ = ["FIGURES", "Value", "figures_of", "known_figures"]
 
@@ -47,11 +48,11 @@ def known_figures(rig: Rig) -> dict[str, type]:
     """Return the figures of the runs of a rig; with several axes also those of each axis:
     ``axes.left.hold_counts_p2p``.
     """
-    return _known(rig.axis_names, rig.channels)
+    return _figure_types(rig.axis_names, rig.channels)
 
 
 @cache
-def _known(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]:
+def _figure_types(names: tuple[str, ...], channels: tuple[str, ...]) -> dict[str, type]:
     of_axes = {f"axes.{name}.{figure}": FIGURES[figure] for name in names for figure in _OF_AXES}
     return {**FIGURES, **of_axes}
 
@@ -62,13 +63,7 @@ def figures_of(result: RunResult, rig: Rig) -> dict[str, Value]:
     axes = {**(values["axes"] or {})}
     for bus_values in (values["buses"] or {}).values():
         axes |= bus_values["axes"] or {}
-    return {name: _value(_at(values | {"axes": axes}, name)) for name in known_figures(rig)}
-
-
-def _at(tree: Any, name: str) -> Any:
-    for part in name.split("."):
-        tree = tree.get(part) if isinstance(tree, Mapping) else None
-    return tree
+    return {name: _value(value_at(values | {"axes": axes}, name.split("."))) for name in known_figures(rig)}
 
 
 def _value(value: Any) -> Value:

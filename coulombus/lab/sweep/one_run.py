@@ -16,15 +16,14 @@ from typing import Any, Literal, TypeAlias
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.simulate import virtual_run
-from coulombus.lab.sweep.expressions import Condition
+from coulombus.lab.sweep.expressions import RunCondition
 from coulombus.lab.sweep.figures import Value, figures_of, known_figures
-from coulombus.lab.sweep.points import seed_of
-from coulombus.lab.sweep.ranges import Vary
+from coulombus.lab.sweep.ranges import Vary, seed_of
 from coulombus.lab.sweep.sweep_file import Sweep
 from coulombus.rigs.rig import Rig
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["KEEP", "FinishedRun", "Job", "Keep", "RunRequest", "carry_out", "failed_row", "order_of", "warm_up"]
+__all__ = ["KEEP", "FinishedRun", "Job", "Keep", "RunRequest", "carry_out", "failed_row", "run_request", "warm_up"]
 
 Keep: TypeAlias = Literal["none", "failing", "all"]
 KEEP: tuple[Keep, ...] = ("none", "failing", "all")
@@ -39,11 +38,11 @@ class Job:
     rig: Rig
     seconds: float | None
     vary: tuple[Vary, ...]
-    rates: Mapping[str, Condition]
+    rates: Mapping[str, RunCondition]
     keep: Keep = "none"
 
     @classmethod
-    def of(cls, sweep: Sweep, keep: Keep = "none") -> Job:
+    def from_sweep(cls, sweep: Sweep, keep: Keep = "none") -> Job:
         """Return the job of a sweep."""
         return cls(sweep.rig, sweep.seconds, sweep.vary, sweep.rates, keep)
 
@@ -76,7 +75,7 @@ class FinishedRun:
     recording: bytes | None = None
 
 
-def order_of(sweep: Sweep, run: int) -> RunRequest:
+def run_request(sweep: Sweep, run: int) -> RunRequest:
     """Return run number `run`: all modes of the first point, of the second ..."""
     point, mode = divmod(run, len(sweep.modes))
     return RunRequest(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.lab.sweep.cluster import on_cluster
-from coulombus.lab.sweep.one_run import Job, Keep, RunRequest, order_of
+from coulombus.lab.sweep.one_run import Job, Keep, RunRequest, run_request
 from coulombus.lab.sweep.picture import MapPoint, map_of
 from coulombus.lab.sweep.rates import Rate
 from coulombus.lab.sweep.sweep_file import Sweep
@@ -88,7 +88,7 @@ def run_sweep(
     coulombus.lab.sweep.cluster.ClusterError
         no cluster is reachable, or a worker has other versions
     """
-    job = Job.of(sweep, keep)
+    job = Job.from_sweep(sweep, keep)
     with Folder.open(Path(folder), sweep, force=force) as results:
         left = results.left
         if left:
@@ -104,8 +104,8 @@ def _carry_out(
     sweep = results.sweep
     done, failed = sweep.runs - len(left), 0
     progress("runs", done, sweep.runs, failed)
-    orders = (order_of(sweep, run) for run in left)
-    source = on_cluster(job, orders, dask) if dask else on_processes(job, orders, processes)
+    requests = (run_request(sweep, run) for run in left)
+    source = on_cluster(job, requests, dask) if dask else on_processes(job, requests, processes)
     try:
         with closing(source):  # type: ignore[type-var]
             for finished in source:
@@ -138,7 +138,7 @@ def _summary(results: Folder, job: Job, progress: Progress) -> SweepResult:
             shown: Rate | str = name
             if name in sweep.rates:
                 rates[label] = shown = Rate(label, sum(row[f"rates.{name}"] for row in of_mode), len(of_mode))
-                failing = [order_of(sweep, row["run"]) for row in of_mode if _fails(row, name)]
+                failing = [run_request(sweep, row["run"]) for row in of_mode if _fails(row, name)]
                 _find_worst(results, job, name, label, failing, progress)
             if sweep.vary:
                 points = [_point(sweep, row, name) for row in of_mode]

@@ -29,14 +29,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from coulombus.host.laws.law_source import law_attachments
-from coulombus.lab.file_mistakes import FileMistakes, read_checked, rig_beside
-from coulombus.lab.sweep.expressions import Condition, ConditionError
+from coulombus.lab.file_mistakes import FileMistakes, StrictTable, read_checked, rig_beside
+from coulombus.lab.sweep.expressions import ConditionError, RunCondition
 from coulombus.lab.sweep.figures import known_figures
-from coulombus.lab.sweep.points import points
-from coulombus.lab.sweep.ranges import Vary
+from coulombus.lab.sweep.ranges import Vary, points
 from coulombus.recording.recorder import project_version
 from coulombus.rigs.errors import nearest, shown, toml_value
 from coulombus.rigs.rig import Rig, RigError
@@ -64,15 +63,11 @@ class SweepError(CoulombusError, ValueError):
     exit_status = 3
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Choice(_Strict):
+class _Choice(StrictTable):
     values: list[Any] = Field(min_length=1, max_length=10_000)
 
 
-class _Range(_Strict):
+class _Range(StrictTable):
     low: float
     high: float
     scale: Literal["linear", "log"] = "linear"
@@ -82,7 +77,7 @@ class _Range(_Strict):
 _Mode = Literal["active", "passive", "hybrid"]
 
 
-class _File(_Strict):
+class _SweepFile(StrictTable):
     rig: str = Field("bench", min_length=1)
     mode: _Mode | None = None
     modes: Annotated[list[_Mode], Field(min_length=1)] | None = None
@@ -90,9 +85,9 @@ class _File(_Strict):
     seed: int = Field(0, ge=0, lt=2**62)
     design: Literal["grid", "latin_hypercube", "sobol", "random"]
     runs: int | None = Field(None, ge=1, le=MOST_RUNS)
-    set: list[str] = []
-    vary: dict[str, Any] = {}
-    rates: dict[str, str] = {}
+    set: list[str] = Field([])
+    vary: dict[str, Any] = Field({})
+    rates: dict[str, str] = Field({})
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ class Sweep:
     design: str
     vary: tuple[Vary, ...]
     points: tuple[tuple[Any, ...], ...]
-    rates: Mapping[str, Condition]
+    rates: Mapping[str, RunCondition]
 
     @property
     def runs(self) -> int:
@@ -153,7 +148,7 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
         the rig file has an error
     """
     path = Path(path)
-    text, file, mistakes = read_checked(path, "sweep", _File, SweepError)
+    text, file, mistakes = read_checked(path, "sweep", _SweepFile, SweepError)
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)
     mistakes.raise_all()
@@ -179,7 +174,7 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
     )
 
 
-def _with_settings(rig: Rig, file: _File, mistakes: FileMistakes) -> Rig:
+def _with_settings(rig: Rig, file: _SweepFile, mistakes: FileMistakes) -> Rig:
     """Return the rig with the file's settings; the keys of `set` are applied together."""
     if not file.set:
         return rig
@@ -206,7 +201,7 @@ def _is_leaf(value: Mapping[str, Any]) -> bool:
     return any(nearest(name, LEAF) and not isinstance(entry, Mapping) for name, entry in value.items())
 
 
-def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
+def _vary(file: _SweepFile, mistakes: FileMistakes) -> dict[Key, Vary]:
     variations: dict[Key, Vary] = {}
     for place, value in _leaves(file.vary):
         key = ".".join(str(part) for part in place[1:])
@@ -256,7 +251,7 @@ def _leaf(place: Key, key: str, table: Mapping[str, Any], mistakes: FileMistakes
     )
 
 
-def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes) -> None:
+def _check_design(file: _SweepFile, vary: Mapping[Key, Vary], mistakes: FileMistakes) -> None:
     for design, key, text in CONTRADICTIONS:
         if file.design == design and (not file.vary if key is None else getattr(file, key) is not None):
             mistakes.say(("design",) if key is None else (key,), text)
@@ -276,7 +271,7 @@ def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes)
         mistakes.say(("vary",), f"a grid of {size} points; expected at most {MOST_RUNS}")
 
 
-def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
+def _modes(file: _SweepFile, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     if file.mode is not None and file.modes is not None:
         mistakes.say(("modes",), "mode is given there, too; expected either")
     modes = tuple(file.modes or (file.mode or "hybrid",))
@@ -289,14 +284,14 @@ def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     return modes
 
 
-def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition]:
+def _rates(file: _SweepFile, rig: Rig, mistakes: FileMistakes) -> dict[str, RunCondition]:
     figures, conditions = known_figures(rig), {}
     for name, text in file.rates.items():
         if not RATE_NAME.fullmatch(name):
             mistakes.say(("rates", name), "expected a name of letters, digits, _ and -")
             continue
         try:
-            conditions[name] = Condition.of(text, figures)
+            conditions[name] = RunCondition.from_text(text, figures)
         except ConditionError as error:
             mistakes.say(("rates", name), str(error))
     return conditions
@@ -305,7 +300,7 @@ def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition
 def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
     """Return the key with the rig's own value; a key of which the rig refuses every value is an error."""
     try:
-        whole = vary.on(_own(rig, vary.key))
+        whole = vary.on(_rig_value(rig, vary.key))
     except ValueError as error:
         mistakes.say(place, str(error))
         return vary
@@ -330,7 +325,7 @@ def _beside(key: str, lacking: tuple[str, ...]) -> str:
     return f"; give what is not varied of [{section}] beside [vary]: set = [{settings}]"
 
 
-def _own(rig: Rig, key: str) -> Any:
+def _rig_value(rig: Rig, key: str) -> Any:
     """Return the rig's own value of a key; None if absent or not a single value."""
     here: Any = read_toml(rig.effective()).values
     for part in split_key(key) or ():

@@ -128,7 +128,7 @@ class Folder:
             self._remove_parts()
         else:
             self._read_parts()
-        self._tell()
+        self._write_state()
 
     def _state(self) -> dict[str, Any] | None:
         try:
@@ -137,7 +137,7 @@ class Folder:
             return None
         return state if isinstance(state, dict) and state.get("format") == FORMAT else None
 
-    def _tell(self) -> None:
+    def _write_state(self) -> None:
         state = {"format": FORMAT, "fingerprint": self._fingerprint, "runs": self.sweep.runs}
         state |= {"simulated_s": self.times.simulated_s, "cpu_s": self.times.cpu_s, "worst": self.worst}
         self.write(self.path / "sweep.json", (json.dumps(state, indent=2) + "\n").encode())
@@ -147,7 +147,7 @@ class Folder:
         for name, text in files.items():
             self.write(self.path / name, text.encode())
         self.worst[label] = dict(finding)
-        self._tell()
+        self._write_state()
 
     def _clear(self) -> None:
         for place in (
@@ -200,13 +200,13 @@ class Folder:
             self._write_part(number)
             del self._parts[number]
             self._complete.add(number)
-            self._tell()
+            self._write_state()
 
     def flush(self) -> None:
         """Also write incomplete parts, and the times of the runs."""
         for number in self._parts:
             self._write_part(number)
-        self._tell()
+        self._write_state()
 
     def keep_recording(self, run: int, content: bytes) -> str:
         """Write a recording, and return its path in the folder."""

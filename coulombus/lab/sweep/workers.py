@@ -1,6 +1,10 @@
 """Workers of a sweep: local processes.
 
 They yield the result of each run on completion, in any order; the numbers do not depend on the worker.
+
+A worker is this module as a program: ``python -m coulombus.lab.sweep.workers FD PARENT``, with an open socket. It receives
+the job, then one request after another, and returns the result of each. It has a separate session, without the
+terminal's signals, and ends with its parent.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -17,11 +22,14 @@ from itertools import islice
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, failed_row
+from coulombus.lab.sweep.one_run import FinishedRun, Job, RunRequest, carry_out, failed_row, warm_up
+from coulombus.system.realtime import die_with_parent
+from coulombus.system.stop_signals import ignore
 
 __all__ = ["on_processes"]
 
-MODULE = "coulombus.lab.sweep.worker"
+
+MODULE = "coulombus.lab.sweep.workers"
 AHEAD = 2
 """Runs that a local process has at a time: it goes on while this process writes the table."""
 MOST_STARTS = 3
@@ -46,13 +54,13 @@ class _Worker:
             )
         self.line = Connection(ours.detach())
         self.ready = False
-        self.orders = deque[RunRequest]()
+        self.requests = deque[RunRequest]()
         with suppress(OSError):  # it has ended: the waiting reader notices
             self.line.send(job)
 
-    def take(self, request: RunRequest) -> None:
+    def send(self, request: RunRequest) -> None:
         """Send it a run."""
-        self.orders.append(request)
+        self.requests.append(request)
         with suppress(OSError):
             self.line.send(request)
 
@@ -67,7 +75,7 @@ class _Worker:
         return f"by {signal.Signals(-status).name}" if status < 0 else f"with exit status {status}"
 
 
-def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator[FinishedRun]:
+def on_processes(job: Job, requests: Iterable[RunRequest], count: int) -> Iterator[FinishedRun]:
     """Yield the results of the runs, by `count` local processes.
 
     If a process ends during a run (killed, out of memory), that run fails, and a new process continues.
@@ -79,7 +87,7 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
     OSError
         a recording cannot be written
     """
-    coming, waiting = iter(orders), deque[RunRequest]()
+    coming, waiting = iter(requests), deque[RunRequest]()
 
     def left() -> int:
         """Return the number of waiting runs; `count` + 1: perhaps more."""
@@ -101,8 +109,8 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                     stillborn += not worker.ready
                     if stillborn >= MOST_STARTS:
                         raise RuntimeError(f"the processes of the sweep end {how} before their first run") from None
-                    request = worker.orders.popleft() if worker.orders else None
-                    waiting.extendleft(reversed(worker.orders))
+                    request = worker.requests.popleft() if worker.requests else None
+                    waiting.extendleft(reversed(worker.requests))
                     if left():
                         workers.append(_Worker(job))
                     if request is not None:
@@ -112,10 +120,10 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
                 if isinstance(answer, OSError):
                     raise answer
                 if answer is not None:
-                    worker.orders.popleft()
-                while left() and len(worker.orders) < (AHEAD if len(waiting) > len(workers) else 1):
-                    worker.take(waiting.popleft())
-                if not worker.orders:
+                    worker.requests.popleft()
+                while left() and len(worker.requests) < (AHEAD if len(waiting) > len(workers) else 1):
+                    worker.send(waiting.popleft())
+                if not worker.requests:
                     worker.process.kill()  # its runs are over; the others' results do not wait for its end
                     worker.end()
                     workers.remove(worker)
@@ -125,3 +133,34 @@ def on_processes(job: Job, orders: Iterable[RunRequest], count: int) -> Iterator
         for worker in workers:
             worker.process.kill()
             worker.end()
+
+
+def main(fd: int, parent: int) -> None:
+    """Execute requests until there are no more."""
+    ignore()
+    die_with_parent(parent)
+    runs = threading.Thread(target=_carry_out, args=(fd,))  # outside the main thread, kernels do not delay signals
+    runs.start()
+    runs.join()
+
+
+def _carry_out(fd: int) -> None:
+    with Connection(fd) as line:
+        job = line.recv()
+        assert isinstance(job, Job)
+        warm_up(job)
+        line.send(None)
+        while True:
+            try:
+                request = line.recv()
+            except EOFError:
+                return
+            assert isinstance(request, RunRequest)
+            try:
+                line.send(carry_out(job, request))
+            except OSError as error:  # of the recording: the parent ends the sweep
+                line.send(error)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -8,8 +8,7 @@ from coulombus.eds.units import BLOCK_UNITS
 from coulombus.rigs.draft.device import DraftDevice, Place, label
 from coulombus.rigs.draft.draft_text import RigText
 from coulombus.rigs.draft.motor import command_of, describe_mode
-from coulombus.rigs.errors import RigError
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.errors import Problem, RigError
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, UNITS, profile_of
 
 __all__ = ["describe_brake", "describe_sensors"]
@@ -42,7 +41,7 @@ def describe_brake(text: RigText, device: DraftDevice) -> None:
     if unit == UNITS["Nm"]:
         return
     rated_Nm = text.get("brake.rated_torque_Nm")
-    largest = _most(device, place)
+    largest = _largest(device, place)
     if unit == UNITS["A"]:
         amperes = rated_Nm * text.get("brake.coil_A_Nm")
         full, why = amperes / step, f"{amperes:g} A, by brake.coil_A_Nm"
@@ -105,7 +104,7 @@ def describe_sensors(text: RigText, devices: Sequence[DraftDevice]) -> None:
         unit, step = _unit(device, place)
         if unit == UNITS["Nm"] and place[0] == INPUTS[0][0]:
             continue
-        full = FULL_SCALE_V / step if unit == VOLT else _most(device, place)
+        full = FULL_SCALE_V / step if unit == VOLT else _largest(device, place)
         if unit == UNITS["Nm"]:
             full = text.get("brake.rated_torque_Nm") / step
         scale = float(f"{text.get('brake.rated_torque_Nm') / full:.4g}")
@@ -126,6 +125,6 @@ def _unit(device: DraftDevice, place: Place) -> tuple[int, float]:
     return code >> 16 & 0xFF, 10.0 ** (prefix - min(max(digits or 0, 0), 9))
 
 
-def _most(device: DraftDevice, place: Place) -> float:
+def _largest(device: DraftDevice, place: Place) -> float:
     """Return the largest value of an object, within the host's number range."""
     return min(device.description.variable(*place).largest, 2.0**31 - 1)

@@ -44,7 +44,7 @@ class DraftDevice:
     axis: int = 1
 
     @property
-    def own(self) -> bool:
+    def is_own(self) -> bool:
         """Whether it is the project's own device."""
         return is_own(self.node, told_identity(self.description))
 

@@ -13,15 +13,14 @@ from dataclasses import replace
 from typing import Any
 
 from coulombus.eds.drive_axis import PROFILE_OBJECTS, axis_of
-from coulombus.rigs.accepted_mapping import with_accepted
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.draft.brake import describe_brake, describe_sensors
 from coulombus.rigs.draft.device import DraftDevice
 from coulombus.rigs.draft.draft_text import CHECK, REHEARSAL, RigText
 from coulombus.rigs.draft.motor import describe_motor
-from coulombus.rigs.errors import RigError
+from coulombus.rigs.errors import Problem, RigError
+from coulombus.rigs.pdo_records import with_accepted
 from coulombus.rigs.plan.rig_plan import plans
-from coulombus.rigs.problem import Problem
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text
 from coulombus.rigs.roles import ROLES
 from coulombus.system.foreign_text import one_line
@@ -102,9 +101,9 @@ class Draft:
         for device in self.devices:
             self._device(device)
         motor, brake, *sensors = self.devices
-        if not motor.own:
+        if not motor.is_own:
             describe_motor(self.text, motor)
-        if not brake.own:
+        if not brake.is_own:
             describe_brake(self.text, brake)
         describe_sensors(self.text, sensors)
         self._cycle(like.bus.period_s)
@@ -145,7 +144,7 @@ class Draft:
     def _device(self, device: DraftDevice) -> None:
         """Set the keys of every device; the project's own devices are copied from the packaged rig."""
         packaged = load_rig(OWN_RIG).one_axis()
-        if device.own:
+        if device.is_own:
             part = packaged.part(device.node).model_dump(by_alias=True, exclude_defaults=True)
             self._replace(device, part | {"node_id": device.node_id, "eds": device.eds})
             return

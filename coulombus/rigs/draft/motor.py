@@ -15,13 +15,11 @@ from coulombus.eds.drive_scale import (
     position_scale,
     resolution,
 )
-from coulombus.rigs.accepted_mapping import mapping_sentence
 from coulombus.rigs.draft.device import DraftDevice, Place
 from coulombus.rigs.draft.draft_text import CHECK, RigText
-from coulombus.rigs.draft.makers import MakerMode, maker_mode
-from coulombus.rigs.draft.torque_units import AMPERES, NEWTON_METRES, rated_unit, unit_of
-from coulombus.rigs.errors import RigError
-from coulombus.rigs.problem import Problem
+from coulombus.rigs.draft.makers import AMPERES, NEWTON_METRES, MakerMode, maker_mode, rated_unit, unit_of
+from coulombus.rigs.errors import Problem, RigError
+from coulombus.rigs.pdo_records import mapping_sentence
 
 __all__ = ["TorqueCommand", "command_of", "describe_mode", "describe_motor"]
 

@@ -11,10 +11,9 @@ from coulombus.kernels.records import new_records
 from coulombus.rigs.errors import Source
 from coulombus.rigs.field_help import expected, explain, fields_of
 from coulombus.rigs.kinematics.kinematics_section import LENGTHS, Kinematics, PlanePlant
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, PoseRecord
-from coulombus.rigs.kinematics.mechanisms import MECHANISMS, condition, locate
-from coulombus.rigs.kinematics.plane_phases import PLANE_KINDS
+from coulombus.rigs.kinematics.mechanisms import JOINTS, MECHANISMS, PoseRecord, condition, locate
 from coulombus.rigs.model import Section
+from coulombus.rigs.plant import PLANE_KINDS
 from coulombus.rigs.toml_lines import Table
 
 __all__ = ["PLANE_SECTIONS", "SIMULATED", "PlaneSections", "check_kinematics", "check_phases", "read_plane"]

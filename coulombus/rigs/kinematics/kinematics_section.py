@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic.config import JsonDict
 
 from coulombus.kernels.records import RecordArray, new_records
-from coulombus.rigs.kinematics.mechanism_records import MechanismRecord
+from coulombus.rigs.kinematics.mechanisms import MechanismRecord
 from coulombus.rigs.model import Section
 
 __all__ = ["KINDS", "LENGTHS", "Kinematics", "PlanePlant", "TrueKinematics"]

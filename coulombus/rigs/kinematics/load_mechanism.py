@@ -30,8 +30,7 @@ import numpy as np
 from coulombus.kernels.decorator import JIT_DISABLED, cacheable
 from coulombus.kernels.records import RecordArray, dtype_of, new_records
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
-from coulombus.rigs.kinematics.mechanism_records import MechanismFunction, MechanismRecord, PoseRecord
-from coulombus.rigs.kinematics.mechanisms import MECHANISMS
+from coulombus.rigs.kinematics.mechanisms import MECHANISMS, MechanismFunction, MechanismRecord, PoseRecord
 from coulombus.rigs.kinematics.pose_kernels import locate
 
 import numba  # isort: skip  (after kernels.decorator, which names the cache directory)
@@ -73,7 +72,7 @@ class Mechanism:
         return pose
 
 
-class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
+class _MechanismPointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
     """A compiled mechanism as a function pointer of one signature."""
 
     def signature(self) -> Any:
@@ -108,7 +107,7 @@ def compile_mechanism(function: Callable[..., Any], *, guarded: bool) -> Mechani
     else:
         dispatcher = numba.njit(cache=cacheable(function), **options)(function)
         dispatcher.compile(_signature().args)
-    pointer: MechanismFunction = _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
+    pointer: MechanismFunction = _MechanismPointer(dispatcher.overloads[dispatcher.signatures[0]])
     return pointer
 
 

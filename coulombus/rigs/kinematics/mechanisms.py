@@ -1,4 +1,4 @@
-r"""Mechanisms with two joints in a plane: the tip and the Jacobian of a pose.
+r"""Mechanisms with two joints in a plane: the tip and the Jacobian of a pose, and their records.
 
 Plain functions; `rigs.kinematics.pose_kernels` and `rigs.kinematics.load_mechanism` compile them.
 
@@ -15,10 +15,51 @@ An unreachable pose has NaN in both.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Annotated, TypeAlias
 
-from coulombus.rigs.kinematics.mechanism_records import JOINTS, MechanismFunction, MechanismRecord, PoseRecord
+from coulombus.kernels.records import FloatField, Record
 
-__all__ = ["MECHANISMS", "cartesian", "columns_angle", "condition", "five_bar", "locate", "serial_2r"]
+__all__ = [
+    "JOINTS",
+    "MECHANISMS",
+    "MechanismFunction",
+    "MechanismRecord",
+    "PoseRecord",
+    "cartesian",
+    "columns_angle",
+    "condition",
+    "five_bar",
+    "locate",
+    "serial_2r",
+]
+
+
+JOINTS = 2
+"""Joints of a mechanism in the plane."""
+
+
+class PoseRecord(Record):
+    """One pose: joint angles, tip and Jacobian."""
+
+    q_rad: Annotated[FloatField, JOINTS]  # the joints' angles, as the axes count them
+    angle_rad: Annotated[FloatField, JOINTS]  # the mechanism's own angles: offset + sign q
+    x_m: Annotated[FloatField, 2]  # the tip
+    jacobian: Annotated[FloatField, (2, JOINTS)]  # dx/dq [m/rad]; of a mechanism's function dx/d(angle)
+
+
+class MechanismRecord(Record):
+    """Dimensions of a mechanism."""
+
+    link_m: Annotated[FloatField, 4]  # lengths of the links; of cartesian travel per angle [m/rad] in the first two
+    base_m: float  # distance of the two fixed joints of a five-bar
+    offset_rad: Annotated[FloatField, JOINTS]  # the mechanism's angle where the joint's is 0
+    sign: Annotated[FloatField, JOINTS]  # +1 or -1: sense of the joint in the mechanism
+    user: Annotated[FloatField, 16]  # numbers of a user-defined mechanism
+
+
+MechanismFunction: TypeAlias = Callable[[MechanismRecord, PoseRecord], None]
+"""A compiled mechanism: from ``pose.angle_rad`` to ``pose.x_m`` and ``pose.jacobian``."""
 
 
 def serial_2r(m: MechanismRecord, pose: PoseRecord) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coulombus.rigs.plan.rig_plan import Plan
+from coulombus.rigs.plan.rig_plan import RigPlan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +51,7 @@ LINES = 3
 """Rows below the bars for the line labels."""
 
 
-def _end_us(plan: Plan) -> float:
+def _end_us(plan: RigPlan) -> float:
     return max(plan.timing.period_ns, *plan.interference_ns.values()) * 1.07e-3
 
 
@@ -60,7 +60,7 @@ def _on_white(pad: float = 0.12) -> dict[str, Any]:
     return {"boxstyle": f"round,pad={pad}", "facecolor": "white", "edgecolor": "none"}
 
 
-def draw_cycle(axes: Axes, plan: Plan) -> None:
+def draw_cycle(axes: Axes, plan: RigPlan) -> None:
     """Draw the worst cycle of ordinary operation: one row per frame, in sending order from the top."""
     from matplotlib.patches import Patch
 
@@ -129,7 +129,7 @@ def draw_cycle(axes: Axes, plan: Plan) -> None:
     )
 
 
-def draw_interference(axes: Axes, plan: Plan) -> None:
+def draw_interference(axes: Axes, plan: RigPlan) -> None:
     """Draw the completion of the last RPDO under increasing shares of the bus traffic."""
     waits_ns = plan.interference_ns
     period, end = plan.timing.period_ns / 1e3, _end_us(plan)
@@ -147,7 +147,7 @@ def draw_interference(axes: Axes, plan: Plan) -> None:
     axes.set_xlabel("us after SYNC is released")
 
 
-def write_gantt(path: Path, plan: Plan) -> None:
+def write_gantt(path: Path, plan: RigPlan) -> None:
     """Write the plot to `path` (.png, .svg, .pdf)."""
     import matplotlib
     from matplotlib.figure import Figure

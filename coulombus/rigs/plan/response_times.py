@@ -34,7 +34,7 @@ import numpy as np
 from coulombus.wire.bits import worst_case_bits
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_RTR_FLAG, arbitration_key
 
-__all__ = ["NO_ERRORS", "Errors", "Message", "Response", "Stage", "bit_ns", "response_times", "utilisation"]
+__all__ = ["NO_ERRORS", "Errors", "Message", "ResponseTime", "Stage", "bit_ns", "response_times", "utilisation"]
 
 ERROR_FRAME_BITS = 31  # flags 6 + 6, delimiter 8, inter-frame space 3, suspended transmission 8
 MAX_INSTANCES = 1000
@@ -127,7 +127,7 @@ NO_ERRORS = Errors()
 
 
 @dataclass(frozen=True)
-class Response:
+class ResponseTime:
     """The result for one message; `response_ns` exceeds the deadline if there is no bound."""
 
     message: Message
@@ -153,7 +153,9 @@ def utilisation(messages: Sequence[Message], bitrate_bit_s: int) -> float:
     return sum(message.bits * 1e9 / (bitrate_bit_s * message.period_ns) for message in messages)
 
 
-def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Errors = NO_ERRORS) -> tuple[Response, ...]:
+def response_times(
+    messages: Sequence[Message], bitrate_bit_s: int, errors: Errors = NO_ERRORS
+) -> tuple[ResponseTime, ...]:
     """Return every message's response time, the highest priority first.
 
     A message that `follows` another takes its response time as jitter; because this may be circular, it is iterated to
@@ -176,7 +178,7 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
             raise ValueError(f"{message.name} follows {message.follows!r}, which is not among the messages")
     frames = [bit_ns(message.bits, bitrate_bit_s) for message in by_priority]
     late = list(by_priority)  # with inherited jitter
-    responses: list[Response] = []
+    responses: list[ResponseTime] = []
     for _ in range(MAX_ROUNDS):
         by_name = {response.message.name: response for response in responses}
         grown = len(by_priority)  # the first rank to recompute
@@ -202,7 +204,7 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
 
 def _response(
     rank: int, by_priority: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
-) -> Response:
+) -> ResponseTime:
     """Return the response of `by_priority[rank]`; all jitters are set; `frames` are the durations."""
     tau = bit_ns(1, bitrate_bit_s)
     m, duration = by_priority[rank], frames[rank]
@@ -242,4 +244,4 @@ def _response(
             w = after
         worst = max(worst, m.jitter_ns + w - q * m.period_ns + duration)
         w += duration  # the next instance cannot be sooner
-    return Response(m, duration, blocking, m.jitter_ns, worst, bounded)
+    return ResponseTime(m, duration, blocking, m.jitter_ns, worst, bounded)

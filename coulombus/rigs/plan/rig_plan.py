@@ -13,10 +13,18 @@ from functools import cached_property
 from typing import Any
 
 from coulombus.eds.cia301 import CobId
-from coulombus.rigs.guarding import is_guarded
+from coulombus.rigs.device_services import is_guarded
 from coulombus.rigs.model import CIA_301_BIT_RATES, to_ns
-from coulombus.rigs.plan.response_times import NO_ERRORS, Errors, Message, Response, bit_ns, response_times, utilisation
-from coulombus.rigs.plan.worst_cycle import Cycle, Timing, worst_cycle
+from coulombus.rigs.plan.response_times import (
+    NO_ERRORS,
+    Errors,
+    Message,
+    ResponseTime,
+    bit_ns,
+    response_times,
+    utilisation,
+)
+from coulombus.rigs.plan.worst_cycle import Cycle, CycleTiming, worst_cycle
 from coulombus.rigs.rig import Rig
 from coulombus.wire.can_flags import CAN_RTR_FLAG
 
@@ -24,7 +32,7 @@ __all__ = [
     "Assumptions",
     "DeviceTraffic",
     "Pdo",
-    "Plan",
+    "RigPlan",
     "bitrates_that_fit",
     "devices_of",
     "largest_axes",
@@ -159,7 +167,7 @@ def messages_of(
     host_id: int,
     host_heartbeat_ns: int,
     sdo_timeout_ns: int,
-    timing: Timing,
+    timing: CycleTiming,
     sporadic_ns: int,
 ) -> tuple[Message, ...]:
     """Return every message of a bus with one host and these devices.
@@ -207,16 +215,16 @@ def messages_of(
 
 
 @dataclass(frozen=True)
-class Plan:
+class RigPlan:
     """The result: every message's response, and the cycle's worst case."""
 
-    timing: Timing
+    timing: CycleTiming
     assumptions: Assumptions
     messages: tuple[Message, ...]
     axes: int
 
     @cached_property
-    def responses(self) -> tuple[Response, ...]:
+    def responses(self) -> tuple[ResponseTime, ...]:
         """Worst-case response times under all traffic; the highest priority first.
 
         The deadline of a frame of the cycle is the cycle's, that of any other its time-out.
@@ -321,7 +329,7 @@ def plan(
     period_ns: int | None = None,
     axes: int | None = None,
     assumptions: Assumptions | None = None,
-) -> Plan:
+) -> RigPlan:
     """Plan the bus of all axes of `rig` (`Rig.on` selects those of one bus).
 
     With another period, the TPDO window and the time-outs of PDOs and SYNC scale with it.
@@ -341,7 +349,7 @@ def plan(
     if assumed.node_ns is not None:
         devices = tuple(replace(device, response_ns=assumed.node_ns) for device in devices)
     slowest = max(device.response_ns for device in devices)
-    timing = Timing(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, slowest, host)
+    timing = CycleTiming(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, slowest, host)
     messages = messages_of(
         devices,
         host_id=rig.host.node_id,
@@ -350,15 +358,15 @@ def plan(
         timing=timing,
         sporadic_ns=assumed.sporadic_ns or SPORADIC_PERIODS * period,
     )
-    return Plan(timing, assumed, messages, len(rig.axes) if axes is None else axes)
+    return RigPlan(timing, assumed, messages, len(rig.axes) if axes is None else axes)
 
 
-def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
+def plans(rig: Rig, **options: Any) -> dict[str, RigPlan]:
     """Return `plan` for each bus of the rig, by the bus' name ("" for a single unnamed bus)."""
     return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
 
 
-def plan_again(rig: Rig, plan_before: Plan, **changed: Any) -> Plan:
+def plan_again(rig: Rig, plan_before: RigPlan, **changed: Any) -> RigPlan:
     """Return the plan of `rig` with the arguments of `plan_before`, except those `changed`."""
     same: dict[str, Any] = {
         "bitrate_bit_s": plan_before.timing.bitrate_bit_s,
@@ -369,18 +377,18 @@ def plan_again(rig: Rig, plan_before: Plan, **changed: Any) -> Plan:
     return plan(rig, **{**same, **changed})
 
 
-def bitrates_that_fit(rig: Rig, plan_before: Plan) -> tuple[int, ...]:
+def bitrates_that_fit(rig: Rig, plan_before: RigPlan) -> tuple[int, ...]:
     """Return the bit rates of CiA 301 at which the plan `plan_before` of `rig` would fit."""
     return tuple(rate for rate in CIA_301_BIT_RATES if plan_again(rig, plan_before, bitrate_bit_s=rate).fits)
 
 
-def shortest_period_ns(rig: Rig, plan_before: Plan) -> int | None:
+def shortest_period_ns(rig: Rig, plan_before: RigPlan) -> int | None:
     """Return the shortest period, in whole microseconds, at which the plan would fit; None if none up to 1 s does."""
     steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
     at = bisect_left(steps, True, key=lambda step: plan_again(rig, plan_before, period_ns=step * STEP_NS).fits)
     return steps[at] * STEP_NS if at < len(steps) else None
 
 
-def largest_axes(rig: Rig, plan_before: Plan) -> int:
+def largest_axes(rig: Rig, plan_before: RigPlan) -> int:
     """Return the number of such axes that the bus can carry, at most 16."""
     return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, plan_before, axes=axes).fits)

@@ -15,9 +15,9 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.model import to_ns
 from coulombus.rigs.plan.response_times import bit_ns
-from coulombus.rigs.plan.rig_plan import Plan, plan_again
+from coulombus.rigs.plan.rig_plan import RigPlan, plan_again
 from coulombus.rigs.rig import Rig
-from coulombus.rigs.roles import ROLES, Kind
+from coulombus.rigs.roles import ROLES, RoleKind
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.bits import worst_case_bits
 
@@ -108,7 +108,7 @@ def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
     return None if other.allocation.problems else whole_ns - _busy_ns(other.pdos(), rate)
 
 
-def longer_period(rig: Rig, plan: Plan, shortest: int | None) -> Remedy | None:
+def longer_period(rig: Rig, plan: RigPlan, shortest: int | None) -> Remedy | None:
     """Return the shortest period of the raster at which the plan would fit with a scaled TPDO window and nothing else
     changed, or None.
 
@@ -127,9 +127,9 @@ def longer_period(rig: Rig, plan: Plan, shortest: int | None) -> Remedy | None:
     return None
 
 
-def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
+def without_roles(rig: Rig, plan: RigPlan) -> Remedy | None:
     """Return the optional roles to remove so that the plan fits, the least needed first; None if that is not enough."""
-    left: list[tuple[Axis, Kind]] = []
+    left: list[tuple[Axis, RoleKind]] = []
     for name in SPARED:
         left += [(axis, KINDS[name]) for axis in rig.axes if axis.allocation.bound.get(name) is not None]
         if left and plan_again(_lean(rig, left), plan).fits:
@@ -149,13 +149,13 @@ def without_roles(rig: Rig, plan: Plan) -> Remedy | None:
     return Remedy(overrides, plan.timing.period_ns, tuple(axis.prefix + kind.name for axis, kind in left), lost)
 
 
-def _lean(rig: Rig, left: Sequence[tuple[Axis, Kind]]) -> Rig:
+def _lean(rig: Rig, left: Sequence[tuple[Axis, RoleKind]]) -> Rig:
     """Return the rig without these roles, for its plan only."""
     gone = [axis.without(*(kind.name for other, kind in left if other is axis)) for axis in rig.axes]
     return replace(rig, axes=tuple(gone))
 
 
-def _fits(rig: Rig, plan: Plan, overrides: tuple[str, ...], period_ns: int) -> bool:
+def _fits(rig: Rig, plan: RigPlan, overrides: tuple[str, ...], period_ns: int) -> bool:
     """Return whether the changed rig file is accepted and fits."""
     try:
         changed = rig.variant(*overrides)

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 from coulombus.rigs.plan.response_times import ERROR_FRAME_BITS, NO_ERRORS, Errors, Message, bit_ns
 
-__all__ = ["Bar", "Cycle", "CycleFrame", "Timing", "worst_cycle"]
+__all__ = ["Bar", "Cycle", "CycleFrame", "CycleTiming", "worst_cycle"]
 
 INTER_FRAME_BITS = 3
 HORIZON_PERIODS = 50
@@ -32,7 +32,7 @@ HORIZON_PERIODS = 50
 
 
 @dataclass(frozen=True)
-class Timing:
+class CycleTiming:
     """Time limits of the cycle.
 
     Attributes
@@ -91,7 +91,7 @@ class Cycle:
         return all(frame.fits for frame in self.frames)
 
 
-def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO_ERRORS) -> Cycle:
+def worst_cycle(messages: Sequence[Message], timing: CycleTiming, errors: Errors = NO_ERRORS) -> Cycle:
     """Return the worst cycle of `messages`, those with a `stage`, under the interference of the
     others.
 
@@ -134,7 +134,7 @@ class _Case:
     """The worst case of one frame of the cycle."""
 
     def __init__(
-        self, m: Message, chain: Sequence[Message], others: Sequence[Message], timing: Timing, errors: Errors
+        self, m: Message, chain: Sequence[Message], others: Sequence[Message], timing: CycleTiming, errors: Errors
     ) -> None:
         self.m, self.timing = m, timing
         rate = timing.bitrate_bit_s

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from coulombus.analysis.theory.fig10 import active_run, figure_10, passive_run
-from coulombus.analysis.theory.operator_force import PAPER_FORCE, HarmonicForce
 from coulombus.analysis.theory.operators import Operator, ParameterError
 from coulombus.analysis.theory.parameters import Parameters
+from coulombus.analysis.theory.stick_slip import PAPER_FORCE, HarmonicForce
 from coulombus.sim_bus.rig.operator import paper_force_N
 
 PAPER = Parameters()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from coulombus.host.plane.brake_split import expect_brakes, hold, observe, slip
 from coulombus.host.plane.plane_host_record import SplitControlRecord, SplitStateRecord
 from coulombus.kernels.records import new_records
-from coulombus.rigs.kinematics.mechanism_records import PoseRecord
+from coulombus.rigs.kinematics.mechanisms import PoseRecord
 
 NOTHING = np.zeros(2)
 number = st.floats(-5, 5, allow_subnormal=False)

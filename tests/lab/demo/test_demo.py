@@ -9,7 +9,7 @@ import pytest
 
 from coulombus.lab.demo import real_demo
 from coulombus.lab.demo.demo import DEMO_MODES, SAME, displays, run_demo
-from coulombus.lab.demo.traces import BINS, Traces, draw_traces, share_labels, traces
+from coulombus.lab.demo.traces import BINS, DemoTraces, draw_traces, share_labels, traces
 from coulombus.recording.pictures.style import figure
 from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
@@ -74,7 +74,9 @@ def test_the_mean_is_drawn_over_the_band_of_a_limit_cycle():
     t_s = np.arange(20_000) * 1e-3
     slow = 0.3 * np.sin(t_s)
     none = np.zeros(0)
-    data = Traces("a", t_s, slow, none, none, {"motor": (t_s, slow + np.where(np.arange(len(t_s)) % 2, 0.7, -0.7))}, ())
+    data = DemoTraces(
+        "a", t_s, slow, none, none, {"motor": (t_s, slow + np.where(np.arange(len(t_s)) % 2, 0.7, -0.7))}, ()
+    )
     with figure(4, 4, 2) as (_, (torque, speed)):
         draw_traces(torque, speed, data, "active")
         share_labels(torque.figure, np.array([[torque], [speed]]))

@@ -27,7 +27,7 @@ def test_constant_stimuli_show_each_level_as_often():
     shown = []
     while not one.done:
         shown.append(one.level())
-        one.take(shown[-1], True)
+        one.update(shown[-1], True)
     assert Counter(shown) == {1.0: 4, 2.0: 4, 3.0: 4}
 
 
@@ -36,7 +36,7 @@ def test_a_staircase_goes_down_after_two_right_answers_and_up_after_a_wrong_one(
     shown = []
     for right in (True, True, True, False, True, True, False, False, False):
         shown.append(one.level())
-        one.take(shown[-1], right)
+        one.update(shown[-1], right)
     assert shown == [2.0, 2.0, 1.6, 1.6, 1.9, 1.9, 1.8, 2.1, 2.4]
     assert one.level() == 2.5  # the bound
     assert one.done
@@ -51,7 +51,7 @@ def test_a_staircase_comes_to_rest_at_its_target(down, up_ratio, share):
     while not one.done:
         level = one.level()
         rights.append(rng.random() < ndtr((level - 2.0) / 0.5))
-        one.take(level, bool(rights[-1]))
+        one.update(level, bool(rights[-1]))
     assert np.mean(rights[500:]) == pytest.approx(share, abs=0.02)
 
 
@@ -64,7 +64,7 @@ def test_mirrored_staircases_come_to_rest_on_both_sides_of_a_shifted_pse():
         level = both.level()
         larger = bool(rng.random() < ndtr((level - pse) / sigma))
         shown.append((level, larger))
-        both.take(level, larger if level >= 2.0 else not larger)
+        both.update(level, larger if level >= 2.0 else not larger)
     above, below = ([took for level, took in shown[1000:] if (level > 2.0) == side] for side in (True, False))
     assert np.mean(above) == pytest.approx(0.7071, abs=0.02)
     assert np.mean(below) == pytest.approx(0.2929, abs=0.03)
@@ -78,7 +78,7 @@ def test_an_answer_at_the_reference_counts_for_the_staircase_that_showed_it():
         stairs = [Staircase(2.0, (2.0, 4.0), [0.1], 1, 1.0, 5) for _ in range(2)]
         both = Mirrored(2.0, *stairs, np.random.default_rng(1))
         for _ in range(2):
-            both.take(both.level(), not wrong_side)  # judged larger, or smaller, at the reference
+            both.update(both.level(), not wrong_side)  # judged larger, or smaller, at the reference
         assert sorted(stair.level() for stair in stairs) == [2.0, 2.1]
         assert stairs[int(not wrong_side)].level() == 2.1  # wrong for that side: it goes up
 
@@ -95,7 +95,7 @@ def test_quest_shows_levels_near_the_threshold_and_learns_it():
     while not method.done:
         levels.append(method.level())
         larger = bool(rng.random() < ndtr((levels[-1] - pse) / sigma))
-        method.take(levels[-1], larger if levels[-1] >= 2.0 else not larger)
+        method.update(levels[-1], larger if levels[-1] >= 2.0 else not larger)
     assert method.believed == pytest.approx(sigma, rel=0.3)
     assert 1.6 < np.quantile(levels[20:], 0.1) < pse < np.quantile(levels[20:], 0.9) < 2.6
 
@@ -119,7 +119,7 @@ def test_quest_shows_the_level_of_least_expected_entropy(low):
         larger = bool(rng.random() < p[k, 270])
         weight = weight * (p[k] if larger else 1 - p[k])
         weight /= weight.sum()
-        method.take(method.level(), larger if x[k] >= 2.0 - 1e-9 else not larger)
+        method.update(method.level(), larger if x[k] >= 2.0 - 1e-9 else not larger)
 
 
 def test_quest_without_a_shift_is_the_quest_of_its_library():
@@ -140,5 +140,5 @@ def test_quest_without_a_shift_is_the_quest_of_its_library():
         level = method.level()
         assert level == float(library.next_stim["intensity"])
         right = bool(rng.random() < ndtr((level - 2.0) / 0.2))
-        method.take(level, right)
+        method.update(level, right)
         library.update(stim={"intensity": level}, outcome={"response": "right" if right else "wrong"})

@@ -10,7 +10,7 @@ import pytest
 from coulombus.lab.sweep import cluster
 from coulombus.lab.sweep import sweep as module
 from coulombus.lab.sweep.cluster import ClusterError, on_cluster
-from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, failed_row, order_of
+from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, failed_row, run_request
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.sweep_file import read_sweep
 
@@ -33,29 +33,31 @@ def batches(monkeypatch):
     """Return the runs of each batch, as they are submitted."""
     submitted, own = [], distributed.Client.submit
 
-    def submit(client, call, packed, orders, *more, **options):
-        submitted.append([order.run for order in orders])
-        return own(client, call, packed, orders, *more, **options)
+    def submit(client, call, packed, requests, *more, **options):
+        submitted.append([request.run for request in requests])
+        return own(client, call, packed, requests, *more, **options)
 
     monkeypatch.setattr(distributed.Client, "submit", submit)
     return submitted
 
 
-def rows_of(job, orders, address):
-    return {done.row["run"]: done.row for done in on_cluster(job, orders, address)}
+def rows_of(job, requests, address):
+    return {done.row["run"]: done.row for done in on_cluster(job, requests, address)}
 
 
 @pytest.fixture
 def many(sweep_file):
-    """Return the job and the orders of 100 runs."""
+    """Return the job and the requests of 100 runs."""
     sweep = read_sweep(sweep_file(**{"runs = 6": "runs = 100"}))
-    return Job.of(sweep), [order_of(sweep, run) for run in range(sweep.runs)]
+    return Job.from_sweep(sweep), [run_request(sweep, run) for run in range(sweep.runs)]
 
 
 @pytest.mark.long
 def test_a_worker_killed_in_mid_batch_changes_no_byte_of_the_table(sweep_file, tmp_path, monkeypatch):
     sweep = read_sweep(sweep_file())
-    monkeypatch.setattr(module, "on_processes", lambda job, orders, _: (carry_out(job, order) for order in orders))
+    monkeypatch.setattr(
+        module, "on_processes", lambda job, requests, _: (carry_out(job, request) for request in requests)
+    )
     run_sweep(sweep, tmp_path / "here")
     killed = []
     with distributed.LocalCluster(
@@ -76,33 +78,35 @@ def test_a_worker_killed_in_mid_batch_changes_no_byte_of_the_table(sweep_file, t
 
 
 def test_batches_grow_to_their_time(many, in_threads, batches, monkeypatch):
-    job, orders = many
+    job, requests = many
     monkeypatch.setattr(
-        cluster, "carry_out", lambda job, order: FinishedRun(failed_row(job, order, "none"), cpu_s=cluster.BATCH_S / 8)
+        cluster,
+        "carry_out",
+        lambda job, request: FinishedRun(failed_row(job, request, "none"), cpu_s=cluster.BATCH_S / 8),
     )
-    assert sorted(rows_of(job, orders, in_threads)) == list(range(100))
+    assert sorted(rows_of(job, requests, in_threads)) == list(range(100))
     assert [len(batch) for batch in batches[:4]] == [1, 1, 1, 1]
     assert max(map(len, batches)) == 8
     assert sorted(run for batch in batches for run in batch) == list(range(100))
 
 
 def test_recordings_come_one_by_one(many):
-    job, orders = many
-    done = [FinishedRun(failed_row(job, order, "none"), cpu_s=0.01) for order in orders[:4]]
+    job, requests = many
+    done = [FinishedRun(failed_row(job, request, "none"), cpu_s=0.01) for request in requests[:4]]
     assert cluster._next_runs(job, done) == 8
     assert cluster._next_runs(Job(job.rig, job.seconds, job.vary, job.rates, "failing"), done) == 1
 
 
 def test_a_run_that_ends_its_workers_fails_alone(many, in_threads, batches, monkeypatch):
-    job, orders = many
+    job, requests = many
 
-    def deadly(job, order):
-        if order.run == 37:
+    def deadly(job, request):
+        if request.run == 37:
             raise distributed.KilledWorker("batch", distributed.Worker, 3)
-        return FinishedRun(failed_row(job, order, "none"), cpu_s=cluster.BATCH_S / 8)
+        return FinishedRun(failed_row(job, request, "none"), cpu_s=cluster.BATCH_S / 8)
 
     monkeypatch.setattr(cluster, "carry_out", deadly)
-    rows = rows_of(job, orders, in_threads)
+    rows = rows_of(job, requests, in_threads)
     assert sorted(rows) == list(range(100))
     assert [run for run, row in rows.items() if row["error"].startswith("the cluster lost the run")] == [37]
     assert [len(batch) > 1 for batch in batches if 37 in batch] == [True, False]
@@ -121,7 +125,7 @@ def test_a_worker_of_another_version_is_refused_by_name(sweep_file, tmp_path, in
 
 
 def test_a_worker_that_cannot_run_a_batch_ends_the_sweep(sweep_file, tmp_path, in_threads, monkeypatch):
-    def missing(job, order):
+    def missing(job, request):
         raise ModuleNotFoundError("No module named 'numba'")
 
     monkeypatch.setattr(cluster, "carry_out", missing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.lab.simulate import simulate
-from coulombus.lab.sweep.expressions import Condition, ConditionError
+from coulombus.lab.sweep.expressions import ConditionError, RunCondition
 from coulombus.lab.sweep.figures import FIGURES, figures_of, known_figures
 from coulombus.rigs.rig import load_rig
 
@@ -34,7 +34,7 @@ KNOWN = {"a": float, "b": int, "name": str, "counters.lost": int}
     ],
 )
 def test_a_condition_is_what_it_says(text, figures, holds):
-    assert Condition.of(text, KNOWN).holds(figures) is holds
+    assert RunCondition.from_text(text, KNOWN).holds(figures) is holds
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_condition_is_what_it_says(text, figures, holds):
     ],
 )
 def test_of_an_unknown_figure_nothing_is_claimed(text, holds):
-    assert Condition.of(text, KNOWN).holds({"a": None, "b": 1}) is holds
+    assert RunCondition.from_text(text, KNOWN).holds({"a": None, "b": 1}) is holds
 
 
 @pytest.mark.parametrize(
@@ -98,12 +98,12 @@ def test_of_an_unknown_figure_nothing_is_claimed(text, holds):
 )
 def test_nothing_else_is_allowed(text, told):
     with pytest.raises(ConditionError) as caught:
-        Condition.of(text, KNOWN)
+        RunCondition.from_text(text, KNOWN)
     assert told in str(caught.value)
 
 
 def test_a_condition_knows_its_figures():
-    assert Condition.of("a > 1 and counters.lost == 0 and a < none_", {**KNOWN, "none_": float}).figures == (
+    assert RunCondition.from_text("a > 1 and counters.lost == 0 and a < none_", {**KNOWN, "none_": float}).figures == (
         "a",
         "counters.lost",
         "none_",

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from coulombus.lab.sweep.points import seed_of
+from coulombus.lab.sweep.ranges import seed_of
 from coulombus.lab.sweep.sweep_file import SweepError, read_sweep
 from coulombus.rigs.rig import RigError, packaged_rig
 from mutilated import mutilated

@@ -15,7 +15,7 @@ from coulombus.lab.simulate import simulate
 from coulombus.lab.sweep import one_run, workers
 from coulombus.lab.sweep import sweep as module
 from coulombus.lab.sweep.figures import FIGURES
-from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, order_of
+from coulombus.lab.sweep.one_run import FinishedRun, Job, carry_out, run_request
 from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.sweep_file import read_sweep
@@ -52,9 +52,9 @@ def drawn(*of):
     return PICTURES.get(repr(of)) or PICTURES.setdefault(repr(of), map_of(*of))
 
 
-def here(job, orders, count):
+def here(job, requests, count):
     """Carry out the runs in this process."""
-    return (known(job, order) for order in orders)
+    return (known(job, order) for order in requests)
 
 
 @pytest.fixture
@@ -100,8 +100,8 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch,
     run_sweep(sweep, tmp_path / "whole")
     carried = []
 
-    def interrupted(job, orders, count):
-        for order in reversed(list(orders)[:4]):  # whatever comes first
+    def interrupted(job, requests, count):
+        for order in reversed(list(requests)[:4]):  # whatever comes first
             carried.append(order.run)
             yield known(job, order)
         raise KeyboardInterrupt
@@ -112,7 +112,7 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch,
         run_sweep(sweep, tmp_path / "out")
     assert not (tmp_path / "out" / "runs.parquet").exists()
     monkeypatch.setattr(
-        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or known(job, o) for o in orders)
+        module, "on_processes", lambda job, requests, count: (carried.append(o.run) or known(job, o) for o in requests)
     )
     told = []
     run_sweep(sweep, tmp_path / "out", progress=lambda what, done, of, failed: told.append((what, done, of)))
@@ -153,8 +153,8 @@ def dies(action, call, monkeypatch):
 def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, tmp_path, monkeypatch):
     sweep, carried = read_sweep(sweep_file()), []
 
-    def remembered(job, orders, count):
-        for order in orders:
+    def remembered(job, requests, count):
+        for order in requests:
             carried.append(order.run)
             yield known(job, order)
 
@@ -271,7 +271,7 @@ def test_a_mistake_of_the_program_ends_no_sweep(sweep_file, tmp_path, monkeypatc
 @pytest.mark.thorough
 def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
-    orders = [order_of(sweep, run) for run in range(sweep.runs)]
+    requests = [run_request(sweep, run) for run in range(sweep.runs)]
     started = []
     own = workers._Worker
 
@@ -281,7 +281,7 @@ def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
 
     monkeypatch.setattr(workers, "_Worker", starting)
     rows = {}
-    for done in on_processes(Job.of(sweep), orders, 1):
+    for done in on_processes(Job.from_sweep(sweep), requests, 1):
         rows[done.row["run"]] = done.row
         if len(rows) == 1:
             os.kill(started[0].process.pid, signal.SIGKILL)
@@ -293,15 +293,15 @@ def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
 @pytest.mark.thorough
 def test_a_process_has_its_next_run_before_the_present_is_done(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
-    orders = [order_of(sweep, run) for run in range(sweep.runs)]
+    requests = [run_request(sweep, run) for run in range(sweep.runs)]
     held, own = [], workers._Worker.take
 
     def take(worker, order):
         own(worker, order)
-        held.append(len(worker.orders))
+        held.append(len(worker.requests))
 
     monkeypatch.setattr(workers._Worker, "take", take)
-    assert sorted(done.row["run"] for done in on_processes(Job.of(sweep), orders, 1)) == list(range(6))
+    assert sorted(done.row["run"] for done in on_processes(Job.from_sweep(sweep), requests, 1)) == list(range(6))
     assert held[:2] == [1, 2]
     assert held[-1] == 1
     assert max(held) == 2
@@ -311,7 +311,7 @@ def test_processes_that_cannot_start_end_the_sweep(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
     monkeypatch.setattr(workers, "MODULE", "coulombus.lab.sweep.none")
     with pytest.raises(RuntimeError, match="with exit status 1 before their first run"):
-        list(on_processes(Job.of(sweep), [order_of(sweep, 0)], 1))
+        list(on_processes(Job.from_sweep(sweep), [run_request(sweep, 0)], 1))
 
 
 @pytest.mark.parametrize(("keep", "kept"), [("none", 0), ("failing", 2), ("all", 3)])
@@ -383,8 +383,8 @@ still = "cycles == 1"
         return FinishedRun({"rig": "", "error": None, "cycles": 1, "rates.still": not (Hz > 12.0 and inertia > 0.05)})
 
     monkeypatch.setattr("coulombus.lab.sweep.worst.carry_out", judged)
-    start = replace(order_of(sweep, 0), values=(28.0, 0.9, 0.5))
-    worst = shrunk(Job.of(sweep), "still", start)
+    start = replace(run_request(sweep, 0), values=(28.0, 0.9, 0.5))
+    worst = shrunk(Job.from_sweep(sweep), "still", start)
     assert worst.values.keys() == {"operator.tremor_Hz", "operator.inertia_kg_m2"}
     assert 12.0 < worst.values["operator.tremor_Hz"] < 12.0 + 19.0 / 60
     assert 0.05 < worst.values["operator.inertia_kg_m2"] < 0.05 * (0.9 / 5e-4) ** (1 / 60)
@@ -444,7 +444,7 @@ def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, 
     monkeypatch.setattr(sweep_folder, "write_whole", whole)
     carried = []
     monkeypatch.setattr(
-        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or known(job, o) for o in orders)
+        module, "on_processes", lambda job, requests, count: (carried.append(o.run) or known(job, o) for o in requests)
     )
     assert run_sweep(sweep, tmp_path / "out").runs == 6
     assert carried == [2, 3, 4, 5]
@@ -457,7 +457,7 @@ def test_a_torn_part_is_none(sweep_file, tmp_path, at_once, monkeypatch):
     sweep = read_sweep(sweep_file())
     (tmp_path / "out" / "parts").mkdir(parents=True)
     with Folder.open(tmp_path / "out", sweep) as kept:
-        kept.add(carry_out(Job.of(sweep), order_of(sweep, 0)).row)
+        kept.add(carry_out(Job.from_sweep(sweep), run_request(sweep, 0)).row)
     (tmp_path / "out" / "parts" / ".000003-1-beef.parquet").write_bytes(b"PAR1 torn")
     with Folder.open(tmp_path / "out", sweep) as kept:
         assert kept.left == [1, 2, 3, 4, 5]
@@ -469,7 +469,7 @@ def test_parts_of_another_size_are_carried_out_again(sweep_file, tmp_path, at_on
     monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 2)
     with Folder.open(out, sweep) as kept:
         for run in range(4):
-            kept.add(carry_out(Job.of(sweep), order_of(sweep, run)).row)
+            kept.add(carry_out(Job.from_sweep(sweep), run_request(sweep, run)).row)
     monkeypatch.setattr("coulombus.lab.sweep.sweep_folder.PART_RUNS", 3)
     with Folder.open(out, sweep) as kept:
         assert kept.left == [2, 3, 4, 5]

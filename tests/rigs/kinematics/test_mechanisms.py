@@ -10,7 +10,7 @@ import pytest
 from coulombus.kernels.records import new_records
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
-from coulombus.rigs.kinematics.mechanism_records import PoseRecord
+from coulombus.rigs.kinematics.mechanisms import PoseRecord
 from coulombus.rigs.kinematics.pose_kernels import columns_angle, condition
 from places import RIGS
 

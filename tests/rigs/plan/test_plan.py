@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.rigs.plan.response_times import Errors, Message, bit_ns, response_times, utilisation
-from coulombus.rigs.plan.worst_cycle import Timing, worst_cycle
+from coulombus.rigs.plan.worst_cycle import CycleTiming, worst_cycle
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.bits import data_frame_bits, worst_case_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, QUEUE_CAPACITY, arbitration_key, frames, new_queue, push
@@ -282,7 +282,7 @@ def run_cycle(messages, node_ns=0, host_ns=0, intruder=True):
 @pytest.mark.parametrize("axes", [1, 2, 3])
 def test_the_worst_cycle_is_reached_when_nobody_computes(axes):
     messages = chain(axes)
-    cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS))
+    cycle = worst_cycle(messages, CycleTiming(RATE, 4 * MS, 3 * MS))
     assert {f.message.name: f.end_ns for f in cycle.frames} == run_cycle(messages)
     assert [f.message.name for f in cycle.frames] == sorted(run_cycle(messages), key=run_cycle(messages).get)
 
@@ -290,7 +290,7 @@ def test_the_worst_cycle_is_reached_when_nobody_computes(axes):
 @pytest.mark.parametrize(("node_us", "host_us"), [(20, 0), (0, 60), (20, 60), (3, 3), (4, 4)])
 def test_the_worst_cycle_of_one_axis_is_reached_with_computing(node_us, host_us):
     messages = chain()
-    cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
+    cycle = worst_cycle(messages, CycleTiming(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
     ends = run_cycle(messages, node_us * 1000, host_us * 1000)
     last = max(cycle.frames, key=lambda f: f.end_ns)
     assert last.end_ns == ends[last.message.name]
@@ -303,13 +303,13 @@ def test_no_cycle_with_computing_is_beyond_the_worst(axes, intruder):
     messages = chain(axes)
     for node_us in (0, 5, 40, 200):
         for host_us in (0, 5, 40, 200):
-            cycle = worst_cycle(messages, Timing(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
+            cycle = worst_cycle(messages, CycleTiming(RATE, 4 * MS, 3 * MS, node_us * 1000, host_us * 1000))
             ends = run_cycle(messages, node_us * 1000, host_us * 1000, intruder)
             assert all(f.end_ns >= ends[f.message.name] for f in cycle.frames)
 
 
 def test_the_bars_are_the_latest_frame():
-    cycle = worst_cycle(chain(2), Timing(RATE, 4 * MS, 3 * MS, 20_000, 60_000), Errors(1, 10 * MS))
+    cycle = worst_cycle(chain(2), CycleTiming(RATE, 4 * MS, 3 * MS, 20_000, 60_000), Errors(1, 10 * MS))
     assert cycle.bars[0].begin_ns == 0
     assert all(a.end_ns == b.begin_ns for a, b in zip(cycle.bars, cycle.bars[1:], strict=False))
     assert cycle.bars[-1].end_ns == max(f.end_ns for f in cycle.frames)

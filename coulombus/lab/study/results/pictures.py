@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.lab.study.results.fit import Fit
-from coulombus.lab.study.results.report_markdown import page
+from coulombus.lab.study.results.report_text import page
 from coulombus.recording.pictures.style import COLOURS, DASHES, GREY, figure, save
 from coulombus.system.unfinished_file import write_whole
 

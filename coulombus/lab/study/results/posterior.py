@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-__all__ = ["Answers", "Posterior", "counted", "orders", "posterior", "sigma_of_lapses"]
+__all__ = ["CountedAnswers", "Posterior", "counted", "orders", "posterior", "sigma_of_lapses"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ TINY = 1e-12
 
 
 @dataclass(frozen=True)
-class Answers:
+class CountedAnswers:
     """Answers counted by level and order.
 
     Attributes
@@ -69,13 +69,13 @@ class Answers:
 
 
 def orders(second: Sequence[bool] | None, trials: int) -> Floats:
-    """Return the order of each trial's displays, as in `Answers`."""
+    """Return the order of each trial's displays, as in `CountedAnswers`."""
     return np.zeros(trials) if second is None else np.where(np.asarray(second, bool), 1.0, -1.0)
 
 
 def counted(
     levels: Sequence[float], larger: Sequence[bool], reference: float, second: Sequence[bool] | None
-) -> Answers:
+) -> CountedAnswers:
     """Return answers counted by level and order; `second`: whether the level was the second display."""
     judged = np.asarray(larger, bool)
     order = orders(second, len(judged))
@@ -83,7 +83,7 @@ def counted(
     cells, where = np.unique(trials, axis=0, return_inverse=True)
     where = where.ravel()
     hits, misses = (np.asarray(np.bincount(where, answers, len(cells)), float) for answers in (judged, ~judged))
-    return Answers(cells[:, 0], cells[:, 1], hits, misses)
+    return CountedAnswers(cells[:, 0], cells[:, 1], hits, misses)
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _quantiles(values: Floats, weight: Floats, shares: Sequence[float]) -> Float
     return np.asarray(np.interp(shares, share, values[ranking]), float)
 
 
-def posterior(answers: Answers) -> Posterior:
+def posterior(answers: CountedAnswers) -> Posterior:
     """Return the posterior of sigma, shift, interval bias and lapse rate.
 
     Where no order is known the interval bias is 0.
@@ -195,7 +195,7 @@ def posterior(answers: Answers) -> Posterior:
     )
 
 
-def sigma_of_lapses(answers: Answers, belief: Posterior, lapse: float) -> float:
+def sigma_of_lapses(answers: CountedAnswers, belief: Posterior, lapse: float) -> float:
     """Return the median of sigma if a share `lapse` of the answers are lapses."""
     span = float(np.max(np.abs(answers.distance)))
     supposed = _log_posterior(answers, (belief.log_sigma, belief.shift, belief.bias), np.array([lapse]), span)
@@ -215,7 +215,7 @@ def _log_prior_of_sigma(log_sigma: Floats, span: float) -> Floats:
     return np.asarray(2 * log_sigma - 0.5 * (np.exp(log_sigma) / span) ** 2, float)
 
 
-def _log_posterior(answers: Answers, axes: Sequence[Floats], lapses: Floats, span: float) -> Floats:
+def _log_posterior(answers: CountedAnswers, axes: Sequence[Floats], lapses: Floats, span: float) -> Floats:
     log_sigma, shift, bias = axes
     scaled = answers.distance / np.exp(log_sigma)[:, None]
     chance = ndtr(scaled[:, None, None, :] - shift[None, :, None, None] + answers.order * bias[None, None, :, None])

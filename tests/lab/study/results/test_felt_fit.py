@@ -12,7 +12,7 @@ from coulombus.lab.study.observer import Faults, Observer
 from coulombus.lab.study.results import report as report_module
 from coulombus.lab.study.results.felt_fit import fit_felt
 from coulombus.lab.study.results.report import report
-from coulombus.lab.study.results.report_markdown import page
+from coulombus.lab.study.results.report_text import page
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
 from coulombus.lab.study.study_folder import StudyFolderError, SubjectFolder

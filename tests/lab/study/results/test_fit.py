@@ -38,7 +38,7 @@ def simulated(method, rng, shift=0.0, bias=0.0, lapse=0.0, drift=0.0):
         levels.append(level)
         larger.append(judged)
         second.append(order > 0)
-        method.take(level, judged if level >= REFERENCE else not judged)
+        method.update(level, judged if level >= REFERENCE else not judged)
     return levels, larger, second
 
 

@@ -13,8 +13,7 @@ from coulombus.lab.study.observer import Observer, levels
 from coulombus.lab.study.results.fit import LEAST_TRIALS
 from coulombus.lab.study.results.pictures import write_figures
 from coulombus.lab.study.results.report import _mixed, _study_of, report
-from coulombus.lab.study.results.report_markdown import page
-from coulombus.lab.study.results.report_text import lines
+from coulombus.lab.study.results.report_text import lines, page
 from coulombus.lab.study.results.staircase import staircases
 from coulombus.lab.study.session import People, SubjectSession, run_session
 from coulombus.lab.study.study import read_study
@@ -192,7 +191,7 @@ def test_two_staircases_come_to_one_threshold_and_a_shift_cancels(shift):
     while not both.done:
         levels.append(both.level())
         larger.append(bool(rng.random() < ndtr((levels[-1] - 2.0 - shift) / 0.3)))
-        both.take(levels[-1], larger[-1] if levels[-1] >= 2.0 else not larger[-1])
+        both.update(levels[-1], larger[-1] if levels[-1] >= 2.0 else not larger[-1])
     turned = staircases(levels, larger, 2.0)
     assert turned["threshold"] == pytest.approx(2.0 + 0.3 * ndtri(0.7071), abs=0.04)
     assert turned["right"] == pytest.approx(0.7071, abs=0.05)

@@ -1,4 +1,8 @@
-"""COB-ID of a node's EMCYs: 1014h of its EDS file (CiA 301, section 7.5.2.17)."""
+"""EMCY and error control of a device, from its EDS file.
+
+The COB-ID of its EMCYs is 1014h (CiA 301, section 7.5.2.17). The host guards nodes that cannot consume its heartbeat, or
+produce none (section 7.2.8.3.2.1).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,8 @@ from coulombus.eds.pdo import COB_ID_INVALID
 from coulombus.eds.reader import Description
 from coulombus.rigs.pdo_records import writable
 
-__all__ = ["emcy_default", "emcy_identifier", "is_mute"]
+__all__ = ["beats", "emcy_default", "emcy_identifier", "is_guarded", "is_mute", "life_of"]
+
 
 _EXTENDED = 1 << 29
 
@@ -38,3 +43,22 @@ def is_mute(description: Description, node_id: int) -> bool:
     default = emcy_default(description, node_id)
     off = default is not None and (default & COB_ID_INVALID or not default & 0x7FF)
     return bool(off) and not writable(description.variable(0x1014, 0))
+
+
+def is_guarded(description: Description) -> bool:
+    """Return whether a node is guarded: it has no heartbeat or no consumer, but guard time and life time factor."""
+    by_heartbeat = description.has(0x1016, 1) and description.has(0x1017, 0)
+    return not by_heartbeat and description.has(0x100C, 0) and description.has(0x100D, 0)
+
+
+def beats(description: Description) -> bool:
+    """Return whether the host can monitor a node: by heartbeat or guarding."""
+    return description.has(0x1017, 0) or is_guarded(description)
+
+
+def life_of(guard_s: float, timeout_s: float) -> tuple[int, int]:
+    """Return guard time (100Ch) [ms] and life time factor (100Dh): the least life time not below `timeout_s`. Both
+    times are whole milliseconds.
+    """
+    guard_ms, timeout_ms = round(guard_s * 1000), round(timeout_s * 1000)
+    return guard_ms, -(-timeout_ms // guard_ms)
