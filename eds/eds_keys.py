@@ -103,7 +103,11 @@ def content_of(description: Description) -> FileContent:
             device["RevisionNumber"] = content.revision
         root = read_elements(description.path, description.text)
         counts = {what: sum(1 for _ in root.all(name)) for name, what in XML_ONLY.items()}
-        lists = [element for element in root.all("allowedValues") if element.of("value") or len(element.children) > 1]
+        lists = [
+            element
+            for element in root.all("allowedValues")
+            if element.children_named("value") or len(element.children) > 1
+        ]
         counts["lists of allowed values"] = len(lists)
         counts["PDOmapping default, or optional of a read-only object: an EDS says only that it may be mapped"] = sum(
             _says_more_than_mappable(element.attributes)
@@ -111,7 +115,7 @@ def content_of(description: Description) -> FileContent:
             for element in root.all(kind)
         )
         counts["names in further languages"] = sum(
-            len(parameter.of("label")) > 1 for parameter in root.all("parameter")
+            len(parameter.children_named("label")) > 1 for parameter in root.all("parameter")
         )
         content.left_out.update({what: count for what, count in counts.items() if count})
     return content

@@ -91,7 +91,7 @@ class SdoAnswers:
         """Record a message of the client that continues or ends a transfer."""
         self._request, self.again, self._behind = b"", b"", self._behind + 1
 
-    def take(self, answer: bytes) -> bool:
+    def add_answer(self, answer: bytes) -> bool:
         """Record a message of the server; tell whether it continues the transfer.
 
         A repeated frame does not, nor does an answer to an earlier request.

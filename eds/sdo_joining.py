@@ -73,7 +73,7 @@ class Segments(Joined):
     toggle: int = 0
     _last: bytes = b""
 
-    def take(self, data: bytes) -> str:
+    def add_segment(self, data: bytes) -> str:
         """Process a segment; return a remark on it or ""."""
         if data[0] & 0x10 == self.toggle:
             self.toggle ^= 0x10
@@ -127,7 +127,7 @@ class SubBlocks(Joined):
         count = self.count + _SEGMENT * self.in_order
         return count if self.size is None else min(count, self.size)
 
-    def take(self, data: bytes) -> str:
+    def add_segment(self, data: bytes) -> str:
         """Process a segment; return a remark on it or ""."""
         number, remark = data[0] & 0x7F, ""
         if number <= self.number:

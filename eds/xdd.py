@@ -221,8 +221,8 @@ class XddReader(SectionReader):
         depend on the plugged-in hardware.
         """
         for layers in root.all("ApplicationLayers"):
-            for listed in layers.of("CANopenObjectList"):
-                for element in listed.of("CANopenObject"):
+            for listed in layers.children_named("CANopenObjectList"):
+                for element in listed.children_named("CANopenObject"):
                     index = self.hexadecimal(element, "index", 4)
                     if index is not None:
                         yield index, element
@@ -243,7 +243,7 @@ class XddReader(SectionReader):
     def enter_object(self, index: int, element: XmlElement) -> None:
         """Add a section for an object, and one for each of its sub-objects."""
         self.enter(self.section(element, f"{index:04X}", index), element)
-        for sub in element.of("CANopenSubObject"):
+        for sub in element.children_named("CANopenSubObject"):
             subindex = self.hexadecimal(sub, "subIndex", 2)
             if subindex is not None:
                 self.enter(self.section(sub, f"{index:04X}sub{subindex:X}", index, subindex), sub)
@@ -335,7 +335,7 @@ class XddReader(SectionReader):
             self.put(device, "SimpleBootUpMaster", "SimpleBootUpMaster", TRUTH.get(text.lower(), text), master.line)
         self.enter_comments(identity)
         rates = root.first("baudRate")
-        for rate in rates.of("supportedBaudRate") if rates is not None else ():
+        for rate in rates.children_named("supportedBaudRate") if rates is not None else ():
             if number := re.match(r"\s*(\d{1,4})\b", rate.attributes.get("value", "")):
                 self.put(device, f"BaudRate_{number[1]}", f"BaudRate_{number[1]}", "1", rate.line)
         for dummy in root.all("dummy"):
@@ -393,12 +393,14 @@ def _moment(text: str) -> str:
 
 def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
     """Yield key, its XML name, value and line of each attribute of a parameter."""
-    labels = sorted(parameter.of("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en"))
+    labels = sorted(
+        parameter.children_named("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en")
+    )
     for label in labels[:1]:
         yield "ParameterName", "label", " ".join(label.text.split()), label.line
-    for description in parameter.of("description")[:1]:
+    for description in parameter.children_named("description")[:1]:
         yield "Description", "description", " ".join(description.text.split()), description.line
-    for unit in parameter.of("unit")[:1]:
+    for unit in parameter.children_named("unit")[:1]:
         symbol = unit.first("label")
         yield "Unit", "unit", "" if symbol is None else " ".join(symbol.text.split()), unit.line
         yield "Factor", "multiplier", unit.attributes.get("multiplier", "").strip(), unit.line

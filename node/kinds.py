@@ -141,8 +141,8 @@ class _AxisObjects(NamedTuple):
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
         return self.objects.number(of_axis(index, self.axis), subindex, fallback)
 
-    def own(self, index: int, subindex: int, fallback: int) -> int:
-        return self.objects.own(index, subindex, fallback)
+    def own_number(self, index: int, subindex: int, fallback: int) -> int:
+        return self.objects.own_number(index, subindex, fallback)
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
         return self.objects.real(of_axis(index, self.axis), subindex, fallback)

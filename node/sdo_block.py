@@ -38,7 +38,7 @@ class BlockDownload:
         """Number of the next segment, and of the block's last; (0, 0) after a gap or the last segment of all."""
         return (self._received + 1, self._block_size) if self.receiving and self._in_order else (0, 0)
 
-    def take(self, content: bytes) -> None:
+    def add_segments(self, content: bytes) -> None:
         """Process segments in order, from `expected` on, without the block's last."""
         self._received += len(content) // _SEGMENT
         self._keep(content)

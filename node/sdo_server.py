@@ -88,11 +88,11 @@ class SdoServer:
         """Number of the next segment of a block download, and of the block's last; (0, 0): none is expected."""
         return self._open.expected if isinstance(self._open, BlockDownload) else (0, 0)
 
-    def take(self, content: bytes) -> None:
+    def add_segments(self, content: bytes) -> None:
         """Process segments of a block download in the order of `expected`, before its last."""
         self._last = b""
         if isinstance(self._open, BlockDownload):
-            self._open.take(content)
+            self._open.add_segments(content)
 
     def drop(self) -> None:
         """Discard the open transfer (time-out, reset)."""

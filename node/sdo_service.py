@@ -134,7 +134,7 @@ class SdoService:
         row, k = self._node, channel.number
         count = int(row["segments_count"][k])
         if count:
-            channel.server.take(
+            channel.server.add_segments(
                 row["segments_word"][k, :count].astype("<i8").view(np.uint8).reshape(-1, 8)[:, 1:].tobytes()
             )
         self._close_segments(k)

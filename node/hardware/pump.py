@@ -69,12 +69,12 @@ class Pump:
     plan : content of the I/O file
     guard : returns the watchdog for its time, the safe writes of the outputs, and the claims'
         descriptors
-    tell : called with a line for people when the hardware fails, and when it works again
+    report : called with a line for people when the hardware fails, and when it works again
     """
 
     plan: Plan
     guard: Callable[[float, Sequence[SafeWrite], Sequence[int]], Watched]
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
     failure: str = ""
     """Reason why only the safe values are output; empty: no failure."""
     periods: int = 0
@@ -218,7 +218,7 @@ class Pump:
         if is_new:
             self.failure = why
             safe = f"; NOT SAFE: {failure}" if failure else "; the outputs are safe"
-            self.tell(f"{why}{safe}; they stay so until the node is reset")
+            self.report(f"{why}{safe}; they stay so until the node is reset")
 
     def _wait(self, t_ns: int) -> None:
         if t_ns >= self._retry_ns:
@@ -229,7 +229,7 @@ class Pump:
         self.failure = ""
         device.record["in_faults"] &= ~_BIT
         device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
-        self.tell("after the reset all converters answer again")
+        self.report("after the reset all converters answer again")
 
     def _make_safe(self) -> str:
         """Write every safe value, also after failures; return the first failure."""
@@ -273,7 +273,7 @@ class Pump:
             try:
                 self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(channels), stale_ns)
             except NoBuffer as error:
-                self.tell(f"{error}; its channels are read one by one")
+                self.report(f"{error}; its channels are read one by one")
 
     def _output(self, line: Line) -> tuple[Output, str]:
         """Return the channel of a line, and the file to claim."""

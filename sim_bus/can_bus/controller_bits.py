@@ -109,7 +109,7 @@ def _place(c: ControllerRecord) -> int:
 
 
 @kernel
-def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
+def _record_first_error(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
     """Record the first error of this simulation for the clients.
 
     Of several errors in one bit, the transmitter's counts.
@@ -148,7 +148,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
     )
     if kind in (ErrorKind.ACK, ErrorKind.CRC):
         bits = 0
-    _tell(bus, c, station, ERR_BUSERROR | (ERR_ACK if kind == ErrorKind.ACK else ERR_PROT), bits)
+    _record_first_error(bus, c, station, ERR_BUSERROR | (ERR_ACK if kind == ErrorKind.ACK else ERR_PROT), bits)
     if c.frame >= 0:
         bus.tx[c.frame].state = FrameFate.FAILED
         c.frame = -1
@@ -167,7 +167,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
 def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     """Apply rules d and e: a dominant bit was driven and a recessive bit seen; another error flag begins."""
     c.errors[ErrorKind.BIT] += 1
-    _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
+    _record_first_error(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
     passive = 1 if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL else 0
     _raise(c, 8)
     c.mode = ControllerMode.FLAG
@@ -179,7 +179,7 @@ def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> Non
 @kernel
 def _overload(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     c.overloads += 1
-    _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
+    _record_first_error(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
     c.mode = ControllerMode.OVERLOAD
     c.count = 0
     c.overload = 1

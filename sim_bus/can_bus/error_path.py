@@ -153,11 +153,11 @@ def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
     elif stuck or bus.play.unsettled or bus.noise.next_ns <= now_ns:
         _begin_slow(bus, now_ns)
     else:
-        _only_tell(bus, now_ns)
+        _only_report(bus, now_ns)
 
 
 @kernel
-def _only_tell(bus: BusRecord, now_ns: int) -> None:
+def _only_report(bus: BusRecord, now_ns: int) -> None:
     """Start a state without a sender, to report a controller that has recovered."""
     for k in range(bus.on_count):
         if bus.stations[bus.on[k]].changed:

@@ -64,7 +64,7 @@ def _write(bus: BusRecord, row: int, can_id: int, word: int, source: int) -> Non
 
 
 @kernel
-def _tell_given_up(bus: BusRecord, row: int) -> int:
+def _report_given_up(bus: BusRecord, row: int) -> int:
     """Write the bit in which each one-shot sender lost the arbitration.
 
     Return the next row.
@@ -87,7 +87,7 @@ def _tell_given_up(bus: BusRecord, row: int) -> int:
 
 
 @inlined
-def _tell_states(bus: BusRecord, out: Queue, row: int) -> int:
+def _report_states(bus: BusRecord, out: Queue, row: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
@@ -180,7 +180,7 @@ def _show_sent(bus: BusRecord) -> bool:
 
 
 @kernel
-def _tell_stuck(bus: BusRecord) -> None:
+def _report_stuck(bus: BusRecord) -> None:
     """Count the dominant wire from its begin on, also if it begins in a frame and the bus does not become
     free for `alarm`.
     """
@@ -192,7 +192,7 @@ def _tell_stuck(bus: BusRecord) -> None:
 
 
 @inlined
-def _tell_error(bus: BusRecord, row: int) -> None:
+def _report_error(bus: BusRecord, row: int) -> None:
     """Write the first error of this simulation."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
@@ -229,16 +229,16 @@ def end_attempt(bus: BusRecord, out: Queue) -> int:
         _play_on(bus)
         return 0
     if bus.stuck.from_ns < bus.end_ns:
-        _tell_stuck(bus)
+        _report_stuck(bus)
     row = 0
     slowly = bus.stage >= Stage.PLAYED
     if bus.stage == Stage.WATCHED:
         _settle(bus)
     if slowly and bus.seen.gave_up:
-        row = _tell_given_up(bus, row)
-    row = _tell_states(bus, out, row)
+        row = _report_given_up(bus, row)
+    row = _report_states(bus, out, row)
     if slowly and bus.seen.tell:
-        _tell_error(bus, row)
+        _report_error(bus, row)
         row += 1
     if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
         _deliver(bus, row)

@@ -139,7 +139,7 @@ class Injection:
         """
         (fault,) = plan.file.fault
         self._check(fault, where)
-        self.tell()
+        self.report()
         row = next((row for row, entry in enumerate(self._entries) if entry.ended), len(self._entries))
         if row == MAX_FAULTS:
             raise FaultError(f"{row} faults act already; clear some")
@@ -243,7 +243,7 @@ class Injection:
         self._expire()
         if self._bus.cut in (APART, MENDING) or not (self._entries and self._entries[-1].ended):
             return
-        self.tell()  # the strikes of their rows
+        self.report()  # the strikes of their rows
         while self._entries and self._entries[-1].ended:
             self._past.append(self._result(len(self._entries) - 1))
             self._entries.pop()
@@ -327,7 +327,7 @@ class Injection:
         elif near.cut_row == row and now >= near.mend_ns:
             near.cut = MENDING
             if self._world.bus[1].stage == Stage.FREE:
-                self.tell()
+                self.report()
                 join(self._world.bus, out, self._before, now)
                 self._mark(now, f"the cable is repaired ({self._entries[row].place})")
 
@@ -367,7 +367,7 @@ class Injection:
         else:
             set_clock(world.nodes[station], world.t_ns, ppb)
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Report the injections since the last call."""
         halves = self._world.bus.view(np.ndarray)  # a recarray looks each field up in Python
         if self._on_fault is not None:
@@ -376,10 +376,10 @@ class Injection:
             for half, count in enumerate(halves["told"]):
                 strikes += zip(*(column[half, :count].tolist() for column in columns), strict=True)
             for entry in sorted(strikes):
-                self._tell_strike(*entry)
+                self._report_strike(*entry)
         halves["told"] = 0
 
-    def _tell_strike(self, t_ns: int, row: int, can_id: int) -> None:
+    def _report_strike(self, t_ns: int, row: int, can_id: int) -> None:
         what = "" if can_id == NO_FRAME else f" {can_id & 0x1FFFFFFF:X}h"
         if row < len(self._entries):
             entry = self._entries[row]

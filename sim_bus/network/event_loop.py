@@ -195,7 +195,7 @@ def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
 
 
 @inlined
-def _look(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
+def _measure(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Advance the rig of axis `a` to `t_ns` and let its devices measure it."""
     _advance(world, course, a, t_ns)
     _sample(world.plant[a], world.axes[a], world.nodes)
@@ -208,7 +208,7 @@ def _read(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """
     p = world.plant[a]
     random = p.random
-    _look(world, course, a, t_ns)
+    _measure(world, course, a, t_ns)
     p.random = random
 
 
@@ -339,7 +339,7 @@ def run(
         b = cable if cable.cut == 0 else bus[choose(bus, out)]
         if cable.fault_calls != 0:
             for a in range(axes.shape[0]):
-                _look(world, course, a, w.t_ns)
+                _measure(world, course, a, w.t_ns)
             return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
@@ -376,7 +376,7 @@ def run(
             i = next_device(deadlines)
             a = axis_of[i]
             if a >= 0:
-                _look(world, course, a, t)
+                _measure(world, course, a, t)
             own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
@@ -388,7 +388,7 @@ def run(
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC or b.can_id == CobId.NMT:
                 for a in range(axes.shape[0]):
-                    _look(world, course, a, t)
+                    _measure(world, course, a, t)
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
@@ -416,7 +416,7 @@ def run(
             w.heard = world.listening[b.can_id] if plain else w.listen_all
             if w.services != 0 or w.control_plane != 0 or w.heard != 0:
                 for a in range(axes.shape[0]):
-                    _look(world, course, a, t)
+                    _measure(world, course, a, t)
                 return Exit.SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):

@@ -11,7 +11,7 @@ give the same frames to the nanosecond::
     tester = network.station()                            # hears every frame; station({0x585}): only this identifier
     network.power_on()                                    # all devices; they send their boot-ups
     network.wait_ns(10_000_000)
-    assert tester.take(0x705)[0].data == b"\\0"
+    assert tester.read_frames(0x705)[0].data == b"\\0"
 
     tester.send(0x000, bytes((NmtCommand.START, 5)))      # now; at_ns=... for later
     tester.send(0x605, bytes.fromhex("4017100000000000"))
@@ -106,7 +106,7 @@ class FaultSource(Protocol):
     def act(self) -> None:
         """Perform the parts of a fault that the bus cannot."""
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Report the injections since the last call."""
 
     def enabled(self, t_ns: int) -> None:
@@ -391,7 +391,7 @@ class VirtualNetwork:
         count = int(self._world["log_count"][0])
         self._world["log_count"] = 0
         if self.injection is not None:
-            self.injection.tell()
+            self.injection.report()
         self.hand_over(count)
 
     def hand_over(self, count: int) -> None:

@@ -55,7 +55,7 @@ class Station:
     ) -> None:
         self.number, self.can_ids = number, can_ids
         self.heard: list[Heard] = []
-        """Frames heard and not yet taken; stays empty if `on_frame` is given."""
+        """Frames heard and not yet read; stays empty if `on_frame` is given."""
         self._network, self._on_frame = network, on_frame
 
     def send(self, can_id: int, data: bytes = b"", *, at_ns: int | None = None, length: int | None = None) -> None:
@@ -72,7 +72,7 @@ class Station:
         ready = self._network.t_ns if at_ns is None else at_ns
         push(self._network.out, self.number, ready, can_id, size, data_word(bytes(data)))
 
-    def take(self, can_id: int | None = None) -> list[Heard]:
+    def read_frames(self, can_id: int | None = None) -> list[Heard]:
         """Remove the frames heard (with this identifier) from `heard`, and return them."""
         frames = [frame for frame in self.heard if can_id in (None, frame.can_id)]
         self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]

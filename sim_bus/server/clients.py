@@ -41,7 +41,7 @@ from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Frame, Queue, push
 from coulombus.wire.recvmsg import Mailbox, receive
 
-__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "take"]
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "offer_frames"]
 
 SLOTS = 32
 """Largest number of clients at a time."""
@@ -312,7 +312,7 @@ def _under_way(bus: RecordArray[BusRecord], station: int, out: Queue) -> bool:
 
 
 @kernel
-def take(
+def offer_frames(
     w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], clients: Clients, out: Queue, offset_ns: int, t_ns: int
 ) -> int:
     """Offer each client's next frame to the bus; read its next message after the last one was sent.

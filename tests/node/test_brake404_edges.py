@@ -283,32 +283,32 @@ def test_a_coil_that_draws_less_than_a_quarter_is_suspected(sign, measured, torq
     """Not below the least current."""
     n = coil(sign * measured)
     n.out_brake_Nm = torque
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert (n.open_since_ns, n.detected) == (since, 0)
 
 
 def test_an_open_coil_is_found_after_its_time_and_not_before():
     n = coil(0.0)
     for elapsed, found in ((0, 0), (1, 0), (99, 0), (100, OPEN)):
-        coil404.look(n, T + elapsed)
+        coil404.detect(n, T + elapsed)
         assert (n.detected, n.open_since_ns) == (found, T)
     n = coil(0.0)
-    coil404.look(n, T)
+    coil404.detect(n, T)
     n.in_coil_A = 0.5
-    coil404.look(n, T + 99)
+    coil404.detect(n, T + 99)
     assert n.open_since_ns == -1
     n.in_coil_A = 0.0
-    coil404.look(n, T + 150)
+    coil404.detect(n, T + 150)
     assert (n.detected, n.open_since_ns) == (0, T + 150)
 
 
 def test_a_coil_that_is_suspected_since_time_0_is_found_too():
     n = coil(0.0)
-    coil404.look(n, 0)
+    coil404.detect(n, 0)
     assert n.open_since_ns == 0
-    coil404.look(n, 50)
+    coil404.detect(n, 50)
     assert n.open_since_ns == 0
-    coil404.look(n, 100)
+    coil404.detect(n, 100)
     assert n.detected == OPEN
 
 
@@ -316,10 +316,10 @@ def test_a_coil_that_is_suspected_since_time_0_is_found_too():
 def test_more_than_the_short_circuits_current_is_one(sign):
     n = coil(sign * 3.0)
     n.derated = 1  # so that it is looked into
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == 0
     n.in_coil_A = sign * 3.0078125
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == SHORT
 
 
@@ -331,7 +331,7 @@ def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, t
     n = coil(0.0)
     n.detected, n.ramping, n.out_brake_Nm, n.values[slots404.SETPOINT] = fault | TEMPERATURE, ramping, torque, raw
     n.open_since_ns, n.in_coil_degC = T - 1000, 90.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     over = ramping != ACTS and torque == 0.0 and raw <= 0
     assert n.detected == (TEMPERATURE if over else fault | TEMPERATURE)
     assert n.open_since_ns == (-1 if over else T - 1000)
@@ -347,7 +347,7 @@ def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, t
 def test_over_temperature_has_a_hysteresis(degC, before, detected):
     n = coil(0.5, degC)
     n.detected = before | 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == detected | 1
 
 
@@ -357,7 +357,7 @@ def test_over_temperature_has_a_hysteresis(degC, before, detected):
 def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, derated):
     n = coil(0.5, degC)
     n.derated = 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert (n.limit_Nm, n.derated) == (share * 2.0 / A_NM, derated)
 
 
@@ -374,17 +374,17 @@ def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, de
 def test_the_hardware_s_own_limit_holds_beside_the_coil_s(degC, board_Nm, limit_Nm):
     n = coil(0.5, degC)
     n.derated, n.coil_A_Nm, n.board_Nm = 1, 0.25, board_Nm
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == limit_Nm
 
 
 def test_a_line_of_no_length_falls_at_once_and_an_unknown_coil_has_no_limit():
     n = coil(0.5, 96.0)
     n.warm_degC, n.hot_degC, n.derated = 95.9, 95.95, 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == pytest.approx((1.0 - 0.5 * 0.5) * 2.0 / A_NM)
     n.coil_A_Nm = 0.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == math.inf
 
 
@@ -393,9 +393,9 @@ def test_a_coil_in_order_is_not_looked_into(odd):
     """The limit is computed when there is a reason to."""
     n = coil()
     n.limit_Nm = -1.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     n.in_coil_A, n.in_coil_degC = 3.0, 80.0  # at both limits
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == -1.0
     if odd == "missing":
         n.in_coil_A = 0.0
@@ -409,7 +409,7 @@ def test_a_coil_in_order_is_not_looked_into(odd):
         n.derated = 1
     else:
         n.open_since_ns = 0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm > 0.0
 
 
