@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 from coulombus.eds.description import Variable
-from coulombus.eds.sections import Section, cut
+from coulombus.eds.sections import EdsSection, cut
 from coulombus.eds.values import ValueReader
 
 __all__ = ["COMMISSIONING", "DcfReader"]
@@ -51,19 +51,19 @@ class DcfReader(ValueReader):
             rate = 0
         return node_id, 1000 * rate
 
-    def ambiguous(self, section: Section, key: str) -> str:
+    def ambiguous(self, section: EdsSection, key: str) -> str:
         """Return why a PDO parameter's value is ambiguous; "" if it is not."""
         twice = section.conflicts & {key, "datatype"} if section.pdo_parameter else ()
         return f"{section.what(min(twice))} is given twice with different values" if twice else ""
 
     def configure(self, index: int, variables: dict[int, Variable]) -> None:
         """Configure an object's variables from a DCF's [1003Value], sub-index by sub-index."""
-        section = self.sections.get(f"{index:04x}value", Section("", 0))
+        section = self.sections.get(f"{index:04x}value", EdsSection("", 0))
         for subindex, key in section.numbered().items():
             if subindex in variables:
                 variables[subindex] = self.configured(variables[subindex], section, key)
 
-    def configured(self, variable: Variable, section: Section, key: str) -> Variable:
+    def configured(self, variable: Variable, section: EdsSection, key: str) -> Variable:
         """Return the variable with a DCF's value as its default, checked against type and limits as in an SDO
         download.
 
@@ -84,7 +84,7 @@ class DcfReader(ValueReader):
             return self.related(variable, section, key, value)
         return replace(variable, default=value, node_relative=relative, unreadable="")
 
-    def related(self, variable: Variable, section: Section, key: str, value: int) -> Variable:
+    def related(self, variable: Variable, section: EdsSection, key: str, value: int) -> Variable:
         """Return the variable with a constant if its default depends on the node id.
 
         A value that equals the default for the DCF's own node id changes with another node id, too: a

@@ -11,7 +11,7 @@ import struct
 
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.description import Value
-from coulombus.eds.sections import Section, SectionReader, cut, number_of
+from coulombus.eds.sections import EdsSection, SectionReader, cut, number_of
 
 __all__ = ["ValueReader"]
 
@@ -22,7 +22,7 @@ MOST_NODE_ID = 127
 class ValueReader(SectionReader):
     """Reads a key's value as a data type."""
 
-    def limits(self, section: Section, code: int) -> tuple[int | float | None, int | float | None]:
+    def limits(self, section: EdsSection, code: int) -> tuple[int | float | None, int | float | None]:
         """Return LowLimit and HighLimit as values of the data type `code`."""
         if "lowlimit" not in section.entries and "highlimit" not in section.entries:
             return None, None
@@ -51,7 +51,7 @@ class ValueReader(SectionReader):
 
     # Values by data type.
 
-    def value(self, section: Section, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
+    def value(self, section: EdsSection, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
         """Return a value, whether the node id is to be added, and why it is unreadable; `otherwise` is then
         assumed.
         """
@@ -90,7 +90,7 @@ class ValueReader(SectionReader):
             self.say(section.at(key), why, otherwise, "error")
         return value, relative, why
 
-    def octets(self, section: Section, key: str, text: str) -> bytes:
+    def octets(self, section: EdsSection, key: str, text: str) -> bytes:
         """Return the bytes of an OCTET_STRING or DOMAIN."""
         try:
             return bytes.fromhex(re.sub("(?i)0x|,", " ", text))
@@ -100,7 +100,7 @@ class ValueReader(SectionReader):
             )
             return text.encode("cp1252", "replace")
 
-    def real(self, section: Section, key: str, text: str, code: int) -> tuple[float | None, str]:
+    def real(self, section: EdsSection, key: str, text: str, code: int) -> tuple[float | None, str]:
         """Return a REAL, or None and the reason."""
         number = number_of(text)
         if number is not None and number.hexadecimal and text[:2].lower() == "0x":
@@ -124,7 +124,7 @@ class ValueReader(SectionReader):
             return None, "does not fit into REAL32"
         return value, ""
 
-    def whole(self, section: Section, key: str, text: str, code: int) -> tuple[int | None, bool, str]:
+    def whole(self, section: EdsSection, key: str, text: str, code: int) -> tuple[int | None, bool, str]:
         """Read an integer, ``$NODEID+0x180`` or ``0x180+$NODEID``."""
         plain = number_of(text)
         if plain is not None and not plain.complaint:  # the usual case
@@ -158,7 +158,7 @@ class ValueReader(SectionReader):
             return None, False, f"does not fit into {DATA_TYPES[code].name} with every node id"
         return value, relative, why
 
-    def fit(self, section: Section, key: str, number: int, code: int, hexadecimal: bool) -> tuple[int | None, str]:
+    def fit(self, section: EdsSection, key: str, number: int, code: int, hexadecimal: bool) -> tuple[int | None, str]:
         """Bring a number into its type's range by two's complement; without a report for hexadecimal numbers
         only.
         """

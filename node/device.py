@@ -23,7 +23,7 @@ from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
-from coulombus.node.parameters import Parameters
+from coulombus.node.parameters import StoredParameters
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
 from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_access import Access
@@ -123,7 +123,7 @@ class Device:
         self.dictionary = Dictionary(description, node_id, profile.objects, record["values"])
         self.communication = Communication(self.dictionary, record, profile)
         self.store = Store() if store is None else store
-        self.parameters = Parameters(self.dictionary, self.store, profile.acts)
+        self.parameters = StoredParameters(self.dictionary, self.store, profile.acts)
         access = Access(self.dictionary, self.communication, self.parameters, profile, self._downloaded)
         self._sdo = SdoService(access, self.communication, record)
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)

@@ -16,7 +16,7 @@ from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.profile import SdoAbort
 from coulombus.node.store import Store
 
-__all__ = ["LOAD", "SAVE", "Parameters"]
+__all__ = ["LOAD", "SAVE", "StoredParameters"]
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 """Signatures "save" and "load"."""
@@ -37,7 +37,7 @@ _WRITABLE = ("rw", "rwr", "rww")
 _NO_PARAMETERS = frozenset((0x1003, STORE, RESTORE))
 
 
-class Parameters:
+class StoredParameters:
     """Stored parameters of a device; `commands` are objects that make it act (controlword, set-points)."""
 
     def __init__(self, dictionary: Dictionary, store: Store, commands: Mapping[tuple[int, int], int]) -> None:

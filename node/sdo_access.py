@@ -9,7 +9,7 @@ from coulombus.eds.cia301 import ARRAY, RECORD, Abort
 from coulombus.eds.convert import eds_text
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary, decode, encode
-from coulombus.node.parameters import RESTORE, STORE, Parameters
+from coulombus.node.parameters import RESTORE, STORE, StoredParameters
 from coulombus.node.profile import Profile, SdoAbort
 
 __all__ = ["Access"]
@@ -43,7 +43,7 @@ class Access:
         self,
         dictionary: Dictionary,
         communication: Communication,
-        parameters: Parameters,
+        parameters: StoredParameters,
         profile: Profile,
         changed: Callable[[int, int], None],
     ) -> None:

@@ -17,7 +17,7 @@ from coulombus.eds.eds_folder import fitting, read_folder
 from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
 from coulombus.eds.sdo_frames import where
-from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, told_unit
+from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, unit_from_code
 from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import MOST_BYTES, Progress
@@ -252,7 +252,7 @@ class KnownDevice:
             )
         except SdoAborted:
             return None
-        return told_unit(code, count)
+        return unit_from_code(code, count)
 
     def upload(
         self, variable: Variable, *, most: int = MOST_BYTES, progress: Progress = lambda done, total: None

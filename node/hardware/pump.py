@@ -25,7 +25,7 @@ from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
 from coulombus.node.hardware.channels import Claim, HardwareError, Input, Output, SafeWrite, finite
 from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
 from coulombus.node.hardware.iio_buffer import BufferedInput, IioBuffer, NoBuffer
-from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, Line, Plan
+from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, IoPlan, Line
 from coulombus.node.hardware.io_file import PwmOutput as PwmChannel
 
 __all__ = ["Pump", "Watched"]
@@ -72,7 +72,7 @@ class Pump:
     report : called with a line for people when the hardware fails, and when it works again
     """
 
-    plan: Plan
+    plan: IoPlan
     guard: Callable[[float, Sequence[SafeWrite], Sequence[int]], Watched]
     report: Callable[[str], None]
     failure: str = ""

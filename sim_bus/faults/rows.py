@@ -54,7 +54,7 @@ class Injected:
     last_s: float | None
 
 
-class _Nodes:
+class _StationNumbers:
     """Station numbers of the nodes named in a file."""
 
     def __init__(self, plan: FaultPlan, stations: Mapping[str, int], node_ids: Mapping[int, int]) -> None:
@@ -81,7 +81,7 @@ class _Nodes:
         raise self.plan.mistake(key, f"'{name}' has no node id; name the sender with sender = \"{name}\"")
 
 
-def _match(row: FaultRecord, on: Trigger, nodes: _Nodes, key: Key) -> None:
+def _match(row: FaultRecord, on: Trigger, nodes: _StationNumbers, key: Key) -> None:
     flags = (CAN_EFF_FLAG if on.extended else 0) | (CAN_RTR_FLAG if on.remote else 0)
     if on.can_id is not None:
         if on.can_id > 0x7FF:
@@ -110,7 +110,7 @@ def _at_one_time(a: Lasting, b: Lasting) -> bool:
     return first.duration_s is None or round((first.at_s + first.duration_s) * 1e9) > round(second.at_s * 1e9)
 
 
-def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
+def _refuse_twice(plan: FaultPlan, nodes: _StationNumbers) -> None:
     """Refuse duplicates in a file: two settings of a node's controller, or two drifts of a node's clock at
     one time.
     """
@@ -162,7 +162,7 @@ def install(
     FaultError
         a named node is not on this bus, or the file has duplicates
     """
-    nodes = _Nodes(plan, stations, node_ids)
+    nodes = _StationNumbers(plan, stations, node_ids)
     _refuse_twice(plan, nodes)
     places = range(len(plan.file.fault)) if into is None else into
     if into is None or plan.file.seed is not None:
@@ -241,7 +241,7 @@ def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> 
     refresh(bus)
 
 
-def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
+def _what(row: FaultRecord, fault: object, nodes: _StationNumbers, key: Key) -> None:
     """Set the effect and the target of a fault."""
     for name in ("seen_by", "lost_for", "node"):
         if getattr(fault, name, None) is not None:
@@ -286,7 +286,7 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
         row.period_ns = round(fault.period_us * 1e3)
 
 
-def _behind(node: str | int | None, nodes: _Nodes, key: Key) -> list[str | int]:
+def _behind(node: str | int | None, nodes: _StationNumbers, key: Key) -> list[str | int]:
     """Return a node and those behind it on the cable, in the order of the rig."""
     rows = sorted(row for row in nodes.stations.values() if row >= 0)
     first = nodes.station(node, key)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from coulombus.wire.frame import Queue, data_word, push
 
-__all__ = ["Bus", "Heard", "Station"]
+__all__ = ["Heard", "Station", "StationBus"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Heard:
     """Number of the sending station: a device's row, a station's `number`, -1 the host."""
 
 
-class Bus(Protocol):
+class StationBus(Protocol):
     """A station's interface to its network (`sim_bus.network.network.VirtualNetwork`)."""
 
     @property
@@ -48,7 +48,7 @@ class Station:
 
     def __init__(
         self,
-        network: Bus,
+        network: StationBus,
         number: int,
         can_ids: frozenset[int] | None,
         on_frame: Callable[[Heard], None] | None,
