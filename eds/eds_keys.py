@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, RECORD, VAR
-from coulombus.eds.dcf import COMMISSIONING
 from coulombus.eds.description import Description, Object, Value, Variable
 from coulombus.eds.file_info import OBJECT_LISTS, FileReader
 from coulombus.eds.reader import parse_sections
 from coulombus.eds.sections import EdsSection, number_of
+from coulombus.eds.values import COMMISSIONING
 from coulombus.eds.xdd import is_xml
 
 __all__ = ["COMMISSIONED", "HEADS", "OF_DCF", "FileContent", "Keys", "Row", "content_of", "spelled"]

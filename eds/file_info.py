@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from coulombus.eds.cia301 import DUMMY_TYPES, RECORD, predefined
-from coulombus.eds.dcf import COMMISSIONING, DcfReader
 from coulombus.eds.description import Object, Variable
 from coulombus.eds.sections import EdsSection
+from coulombus.eds.values import COMMISSIONING, DcfReader
 
 __all__ = ["FileReader"]
 

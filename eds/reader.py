@@ -7,7 +7,7 @@ is ambiguous there, the variable has no default, `Variable.unreadable` says why,
 refuses the map.
 
 The file is read in two steps: lines to sections (`eds.sections`), sections to objects
-(here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file_info`).
+(here; values by `eds.values`, a DCF's by `eds.values`, the file's other parts by `eds.file_info`).
 XDD and XDC files (CiA 311) are recognised by their content; `eds.xdd` converts their XML to sections.
 """
 

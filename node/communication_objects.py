@@ -14,11 +14,10 @@ import numpy as np
 from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.pdo import COMMUNICATION
 from coulombus.node import core, guarding
-from coulombus.node.constants import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY, MAX_SDO_SERVERS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import Pdos, restricted
 from coulombus.node.profile import Profile, SdoAbort
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY, MAX_SDO_SERVERS, NodeRecord
 
 __all__ = ["PRODUCER", "SDO_SERVERS", "Communication"]
 

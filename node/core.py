@@ -20,7 +20,6 @@ from coulombus.eds.cia305 import REQUESTS, UNCONFIGURED
 from coulombus.eds.nmt import AFTER_COMMAND, AFTER_ERROR, ALLOWED, Service
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.node import deadlines, emcy, guarding, pdo_traffic
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
@@ -34,7 +33,7 @@ from coulombus.node.reactions import (
     react,
     sample,
 )
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, NodeRecord
 from coulombus.node.sdo_kernels import answer_upload, collect_segment, send_segments
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push

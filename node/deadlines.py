@@ -13,9 +13,8 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, guarding, slots
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.reactions import alarm
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]

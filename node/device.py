@@ -19,16 +19,13 @@ from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_objects import PRODUCER, SDO_SERVERS, Communication
-from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
-from coulombus.node.parameters import StoredParameters
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
-from coulombus.node.record import NodeRecord
-from coulombus.node.sdo_access import Access
-from coulombus.node.sdo_service import SdoService
-from coulombus.node.store import Store
+from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.sdo_service import Access, SdoService
+from coulombus.node.store import Store, StoredParameters
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]

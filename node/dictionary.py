@@ -21,8 +21,8 @@ from coulombus.eds.codec import real_bits, real_value
 from coulombus.eds.own_devices import MANUFACTURER, VENDOR_ID
 from coulombus.eds.pdo import COB_ID_INVALID, unreadable
 from coulombus.eds.reader import Description, Object, Value, Variable
-from coulombus.node.constants import SPARE_SLOTS
 from coulombus.node.profile import CoreObject, Key, SdoAbort
+from coulombus.node.record import SPARE_SLOTS
 from coulombus.node.slots import FIRST_FREE
 
 __all__ = ["Dictionary", "DictionaryState", "decode", "encode"]

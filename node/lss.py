@@ -17,9 +17,8 @@ from collections.abc import Callable, Mapping
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
 from coulombus.node import core
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.dictionary import Dictionary
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, NodeRecord
 from coulombus.node.sdo_kernels import forget_segments
 from coulombus.node.store import Store
 from coulombus.wire.frame import Queue, data_bytes, data_word, push

@@ -1,8 +1,8 @@
-"""Record of a node, shared by its compiled core and its Python services.
+"""Record of a node, shared by its compiled core and its Python services, and its capacities.
 
 `new_nodes` creates the records of several nodes at once; a kernel takes one of them, by reference.
 The record contains the node's PDOs. Everything is int64 or float64; times are int64 nanoseconds; a
-time that never comes is `node.constants.FAR_FUTURE_NS`. The fields of each kind of device are
+time that never comes is `FAR_FUTURE_NS`. The fields of each kind of device are
 declared in its profile (`node.kinds`), and are in every record.
 """
 
@@ -22,23 +22,45 @@ from coulombus.kernels.records import (
     dtype_of,
     new_records,
 )
-from coulombus.node.constants import (
-    BLOCK_SEGMENTS,
-    EMCY_WAITING,
-    FAR_FUTURE_NS,
-    INPUTS,
-    MAX_CONSUMERS,
-    MAX_HISTORY,
-    MAX_PDOS,
-    MAX_SDO_SERVERS,
-    OUTBOX,
-    OUTPUTS,
-    PORTS,
-    SLOTS,
-)
-from coulombus.wire.clock import Clock
+from coulombus.wire.clock import NEVER_NS, Clock
 
-__all__ = ["LOOP_WORDS", "NODE", "BrakeFields", "DriveFields", "InputOutputFields", "NodeRecord", "new_nodes"]
+__all__ = [
+    "BLOCK_SEGMENTS",
+    "EMCY_WAITING",
+    "FAR_FUTURE_NS",
+    "INPUTS",
+    "LOOP_WORDS",
+    "MAX_CONSUMERS",
+    "MAX_HISTORY",
+    "MAX_PDOS",
+    "MAX_SDO_SERVERS",
+    "NODE",
+    "OUTBOX",
+    "OUTPUTS",
+    "PORTS",
+    "SDO_TIMEOUT_NS",
+    "SLOTS",
+    "SPARE_SLOTS",
+    "BrakeFields",
+    "DriveFields",
+    "InputOutputFields",
+    "NodeRecord",
+    "new_nodes",
+]
+
+SLOTS = 1024
+PORTS, INPUTS, OUTPUTS = 8, 16, 8  # largest number of digital ports per direction, analogue inputs, outputs
+SPARE_SLOTS = 256  # for objects that a PDO maps later, in addition to the EDS's
+MAX_PDOS = 128  # per direction: those of two axes of a drive
+MAX_CONSUMERS = 127  # checked entries of 1016h
+MAX_SDO_SERVERS = 128  # 1200h to 127Fh
+BLOCK_SEGMENTS = 127  # segments in a block of an SDO block transfer
+OUTBOX = 1024  # pending segments of block uploads
+MAX_HISTORY = 8  # entries of 1003h
+EMCY_WAITING = 8  # EMCY messages pending until the end of the inhibit time
+FAR_FUTURE_NS = NEVER_NS
+SDO_TIMEOUT_NS = 1_000_000_000
+"""An SDO transfer without progress for this time is aborted (0504 0000h)."""
 
 
 class DriveFields(Record):

@@ -25,9 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
-from coulombus.node.constants import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
 from coulombus.node.reactions import measure
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["AHEAD", "POLL_NS", "answer_upload", "collect_segment", "forget_segments", "queue_segments", "send_segments"]

@@ -20,10 +20,20 @@ from typing import Protocol
 from coulombus.eds.cia301 import DATA_TYPES, NmtState
 from coulombus.node import emcy
 from coulombus.node.device import Device
-from coulombus.node.hardware import converters
+from coulombus.node.hardware import channels
 from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
-from coulombus.node.hardware.channels import Claim, HardwareError, Input, Output, SafeWrite, finite
-from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
+from coulombus.node.hardware.channels import (
+    Claim,
+    HardwareError,
+    Input,
+    Output,
+    PwmOutput,
+    SafeWrite,
+    counter,
+    find,
+    finite,
+    iio,
+)
 from coulombus.node.hardware.iio_buffer import BufferedInput, IioBuffer, NoBuffer
 from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, IoPlan, Line
 from coulombus.node.hardware.io_file import PwmOutput as PwmChannel
@@ -267,11 +277,11 @@ class Pump:
         names: dict[str, list[str]] = {}
         for settings in (line.channel for line in self.plan.inputs):
             if isinstance(settings, IioInput) and settings.buffered:
-                names.setdefault(str(find(converters.IIO, settings.device)), []).append(settings.channel)
-        for folder, channels in names.items():
+                names.setdefault(str(find(channels.IIO, settings.device)), []).append(settings.channel)
+        for folder, inputs in names.items():
             stale_ns = round(self.plan.file.loop.watchdog_s * 1e9)
             try:
-                self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(channels), stale_ns)
+                self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(inputs), stale_ns)
             except NoBuffer as error:
                 self.report(f"{error}; its channels are read one by one")
 
@@ -291,7 +301,7 @@ class Pump:
         settings = line.channel
         if isinstance(settings, IioInput):
             file = iio(settings.device, settings.channel, scaled=settings.scaled)
-            buffer = self._buffers.get(str(find(converters.IIO, settings.device))) if settings.buffered else None
+            buffer = self._buffers.get(str(find(channels.IIO, settings.device))) if settings.buffered else None
             return file if buffer is None else BufferedInput(buffer, settings.channel, file.scale, file.offset)
         if isinstance(settings, CounterInput):
             return counter(settings.device, settings.channel)

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import RecordArray
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, Delivered, Stage
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL
-from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.records import INTER_FRAME_BITS, NS, STATION_MASK, BusRecord, Delivered, Stage
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_ns, first_order, hold, win
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.frame import Queue, Records, new_records

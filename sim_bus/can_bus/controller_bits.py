@@ -17,9 +17,8 @@ from enum import IntEnum
 import numpy as np
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, SUSPEND_BITS, ErrorKind
 from coulombus.sim_bus.can_bus.fault_confinement import PASSIVE_LEVEL, count_received, count_sent, raise_rec, raise_tec
-from coulombus.sim_bus.can_bus.records import BusRecord, ControllerRecord
+from coulombus.sim_bus.can_bus.records import INTER_FRAME_BITS, NS, SUSPEND_BITS, BusRecord, ControllerRecord, ErrorKind
 from coulombus.sim_bus.can_bus.stuffing import CRC_BITS, crc_step
 from coulombus.wire.frame import CAN_EFF_FLAG
 

@@ -12,13 +12,15 @@ from __future__ import annotations
 from enum import IntEnum
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import renew
 from coulombus.sim_bus.can_bus.records import (
+    INTER_FRAME_BITS,
     MAX_FLIPS,
     MOST_TOLD,
     NOBODY,
+    NS,
+    RUN_BITS,
     STATION_MASK,
     BusRecord,
     FaultRecord,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.sim_bus.can_bus.bus_state import NS
-from coulombus.sim_bus.can_bus.records import NOBODY, BusRecord
+from coulombus.sim_bus.can_bus.records import NOBODY, NS, BusRecord
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 
 __all__ = ["disturber", "next_noise", "noisy_bit", "renew", "seeded"]

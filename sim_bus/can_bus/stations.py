@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.controller_bits import ControllerMode
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import plan_alarm
-from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord, Stage
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 
 __all__ = ["attach", "detach", "number", "refresh", "restart"]

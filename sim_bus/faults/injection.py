@@ -11,12 +11,11 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.cable_cut import APART, MENDING, SEVERAL, WHOLE, join, merged_faults, split, wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
 from coulombus.sim_bus.can_bus.noise import renew, seeded
-from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS
+from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS, ErrorKind, Stage
 from coulombus.sim_bus.can_bus.stations import detach, refresh
 from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan

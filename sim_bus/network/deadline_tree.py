@@ -17,9 +17,8 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Integers, Records
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.core import ROUTE_NONE
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.clock import bus_ns
 
 __all__ = ["IDENTIFIERS", "keep_deadline", "look_again", "new_deadlines", "new_wants", "next_device"]

@@ -34,10 +34,9 @@ from coulombus.node import core, emcy, own_time
 from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
-from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, choose, on_its_bus
 from coulombus.sim_bus.can_bus.error_path import detailed_end, detailed_start
-from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord, Delivered, Stage
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm

@@ -18,8 +18,8 @@ import numpy as np
 
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.kernels.records import Records, copied, overwrite
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.device import DeviceState
+from coulombus.node.record import FAR_FUTURE_NS
 from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant import NOISE_FACTOR, NOISE_MASK, NOISE_SUMMAND

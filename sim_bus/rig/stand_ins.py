@@ -31,13 +31,13 @@ from coulombus.eds.drive_scale import (
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import OUTPUTS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.io401 import ANALOGUE_OUT
 from coulombus.node.kinds import of_description, on_axis
 from coulombus.node.motion402 import MODES, POSITION_MODES
 from coulombus.node.profile import CoreObject, Key, Profile
+from coulombus.node.record import OUTPUTS
 from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.slots import FIRST_FREE
 from coulombus.rigs.axis import Axis

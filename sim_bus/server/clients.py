@@ -31,10 +31,9 @@ from coulombus.kernels.libc import (
 )
 from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.arbiter import receives
-from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.cable_cut import divide
-from coulombus.sim_bus.can_bus.error_frames import with_counters
-from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.frame_result import with_counters
+from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord, Stage
 from coulombus.sim_bus.can_bus.tx_queue import take_in
 from coulombus.sim_bus.network.event_loop import WorldRecord
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord

@@ -34,8 +34,7 @@ import numpy.typing as npt
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
 from coulombus.kernels.records import Integers, Records
-from coulombus.node.constants import FAR_FUTURE_NS
-from coulombus.node.record import LOOP_WORDS, NODE
+from coulombus.node.record import FAR_FUTURE_NS, LOOP_WORDS, NODE
 from coulombus.sim_bus.network.event_loop import Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant_step import CourseFunction

@@ -10,9 +10,8 @@ import pytest
 
 from coulombus.node import brake404, coil404, emcy, slots, slots404
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import number
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 
 KIND_BRAKE = number(BRAKE404)
 

@@ -10,10 +10,9 @@ import pytest
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD
 from coulombus.node import emcy, motion402, slots, slots402, states402
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 from coulombus.wire.frame import new_queue
 
 KIND_DRIVE = number(DRIVE402)

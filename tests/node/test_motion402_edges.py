@@ -9,10 +9,9 @@ import math
 import pytest
 
 from coulombus.node import motion402, slots, slots402
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 
 KIND_DRIVE = number(DRIVE402)
 SLOTS = vars(slots) | vars(slots402)

@@ -10,11 +10,10 @@ import pytest
 
 from coulombus.node import emcy, reactions, slots, slots402, slots404
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, PROFILES, number
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 from coulombus.wire.frame import new_queue
 
 KIND_BRAKE = number(BRAKE404)

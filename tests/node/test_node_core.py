@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from coulombus.eds.reader import read_eds
 from coulombus.node import core, emcy, slots402
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
 from places import CORPUS, beside

@@ -7,8 +7,8 @@ from __future__ import annotations
 import pytest
 
 from coulombus.eds.reader import parse_eds
-from coulombus.node.constants import MAX_PDOS
 from coulombus.node.kinds import GENERIC
+from coulombus.node.record import MAX_PDOS
 from coulombus.wire.frame import data_word
 from node_bench import Bench, description
 

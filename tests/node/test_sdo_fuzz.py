@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from benchmarks.nodes import fuzz, random_frame
-from coulombus.node.constants import OUTBOX
 from coulombus.node.device import SDO_TIMEOUT_NS
+from coulombus.node.record import OUTBOX
 from node_bench import MS, Bench
 
 TEXT, HEARTBEAT, SLOPE = 0x2004, 0x1017, 0x6087

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
-from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.faults import plan_alarm
 from coulombus.sim_bus.can_bus.frame_result import end_attempt
-from coulombus.sim_bus.can_bus.records import ALL
+from coulombus.sim_bus.can_bus.records import ALL, Delivered, Stage
 from coulombus.sim_bus.can_bus.stations import attach, refresh
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
 

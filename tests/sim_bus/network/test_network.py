@@ -10,9 +10,8 @@ import canopen
 import numpy as np
 import pytest
 
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
-from coulombus.node.record import new_nodes
+from coulombus.node.record import FAR_FUTURE_NS, new_nodes
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, new_deadlines, new_wants, next_device
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.bits import frame_bits
