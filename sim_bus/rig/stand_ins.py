@@ -28,7 +28,7 @@ from coulombus.eds.drive_scale import (
     resolution,
     velocity_unit,
 )
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
@@ -124,7 +124,7 @@ def _own_scale(axis: Axis) -> _OwnScale:
     it.
     """
     description, number = axis.description("motor"), drive_axis_of(axis.motor)
-    if is_own("motor", told_identity(description)):
+    if is_own("motor", identity_from_1018h(description)):
         return _OwnScale()
     stored, written = defaults(description, number), {(row.index, row.sub): row.value for row in axis.motor.sdo}
 

@@ -17,7 +17,7 @@ from typing import Literal
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia305 import UNCONFIGURED
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
@@ -130,7 +130,7 @@ class LiveNodes:
             if self.kind == "auto":
                 profile = of_description(description)
             else:
-                profile = of_identity(told_identity(description)) if self.kind is None else self.kind
+                profile = of_identity(identity_from_1018h(description)) if self.kind is None else self.kind
             reading = completed(description, profile)
             remarks = reading.remarks
             if self.kind == "auto":
