@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from coulombus.eds.sdo_frames import crc16
+from coulombus.eds.sdo_frames import BLOCK_SEGMENTS, crc16
 
-__all__ = ["BLOCK_SEGMENTS", "Joined", "Segments", "SubBlocks", "are_wrong"]
+__all__ = ["Joined", "Segments", "SubBlocks", "are_wrong"]
 
-BLOCK_SEGMENTS = 127
-"""Largest number of segments in a block."""
 _SEGMENT = 7
 _MOST_BYTES = 1 << 26
 """Bytes beyond this number are counted but not stored."""

@@ -23,9 +23,10 @@ from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
-from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.record import SDO_TIMEOUT_NS, NodeRecord
 from coulombus.node.sdo_service import Access, SdoService
 from coulombus.node.store import Store, StoredParameters
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
@@ -209,7 +210,7 @@ class Device:
         for field in self.profile.outputs:
             record[field] = 0
         record["rpdo_pending"] = record["setpoint_armed"] = record["ramping"] = 0
-        record["next_ns"] = FAR_FUTURE_NS
+        record["next_ns"] = NEVER_NS
         self._sdo.drop()
 
     def _load(self, first: int, t_ns: int) -> None:

@@ -22,11 +22,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from coulombus.eds.cia301 import Abort
-from coulombus.eds.sdo_frames import crc16
+from coulombus.eds.sdo_frames import BLOCK_SEGMENTS, crc16
 from coulombus.node.profile import SdoAbort
-from coulombus.node.record import BLOCK_SEGMENTS
 
-__all__ = ["BLOCK_SEGMENTS", "Backend", "BlockDownload", "BlockUpload", "SdoServer", "abort_frame"]
+__all__ = ["Backend", "BlockDownload", "BlockUpload", "SdoServer", "abort_frame"]
 
 _SEGMENT = 7
 _LAST, _NUMBER = 0x80, 0x7F

@@ -21,10 +21,11 @@ from coulombus.node import core
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.profile import Profile, SdoAbort
-from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.record import SDO_TIMEOUT_NS, NodeRecord
 from coulombus.node.sdo_kernels import forget_segments, queue_segments
 from coulombus.node.sdo_server import SdoServer, abort_frame
 from coulombus.node.store import RESTORE, STORE, StoredParameters
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, data_bytes, data_word, push
 
 __all__ = ["Access", "SdoService"]
@@ -193,7 +194,7 @@ class SdoService:
             if number in (None, channel.number):
                 channel.server.drop()
         which = slice(None) if number is None else number
-        self._deadlines[which] = FAR_FUTURE_NS
+        self._deadlines[which] = NEVER_NS
         self._close_segments(which)
         if self._node["outbox_count"]:
             forget_segments(self._node, -1 if number is None else number)
@@ -212,7 +213,7 @@ class SdoService:
             self._take_segments(channel)
         was_open = server.transfer is not None
         deadline_ns = int(self._deadlines[k])
-        if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
+        if was_open and (t_ns > deadline_ns or deadline_ns == NEVER_NS):
             server.drop()  # the transfer had no progress: the core has aborted it, or would have now
         if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
             self._refresh(self._node, t_ns)
@@ -232,7 +233,7 @@ class SdoService:
             self._keep_deadline(channel, t_ns)
             self._open_segments(channel)
         elif was_open:
-            self._deadlines[k] = FAR_FUTURE_NS
+            self._deadlines[k] = NEVER_NS
         if access.written:
             core.written(self._node, t_ns, access.carries, out)
 

@@ -48,7 +48,8 @@ from coulombus.sim_bus.can_bus.records import (
     is_meant,
 )
 from coulombus.sim_bus.can_bus.stations import number, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
+from coulombus.sim_bus.can_bus.tx_queue import HELD_BACK, WITHDRAWN, first_order, hold, withdraw
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.error_frames import (
     ACTIVE_AGAIN,
@@ -190,7 +191,7 @@ def _report_states(bus: BusRecord, out: Queue, row: int) -> int:
         bus.confinements = 1
         c.changed = c.recovered = 0
         if c.state == CanState.BUS_OFF:
-            begin_bus_off(c, bus.end_ns, FAR_NS)
+            begin_bus_off(c, bus.end_ns, NEVER_NS)
             withdraw(bus, out, number(station))
     return row
 

@@ -17,13 +17,12 @@ from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
 from coulombus.sim_bus.can_bus.noise import renew, seeded
 from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS, ErrorKind, Stage
 from coulombus.sim_bus.can_bus.stations import detach, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import AnyFault, Drift, NodeFault, OtherNodeId
 from coulombus.sim_bus.faults.rows import Injected, begin_enabled, install, restart_usually, result_of
 from coulombus.sim_bus.network.device_faults import OF_MECHANICS, device_faults_of, inject, renumber
 from coulombus.sim_bus.network.network import TAP
-from coulombus.wire.clock import set_clock
+from coulombus.wire.clock import NEVER_NS, set_clock
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.network import VirtualNetwork
@@ -215,7 +214,7 @@ class Injection:
             f = self._bus.faults[row]
             once = entry.fault.kind == "reset" and entry.fault.on is None and f.fired > 0
             cut = entry.fault.kind == "cut" and (self._bus.cut == WHOLE and f.fired > 0 and not f.framed)
-            timed = entry.fault.kind != "cut" and f.from_ns < FAR_NS and f.until_ns <= self._world.t_ns
+            timed = entry.fault.kind != "cut" and f.from_ns < NEVER_NS and f.until_ns <= self._world.t_ns
             if timed and not entry.ended:
                 self._stop(row)  # its own event may be due at this very time
             entry.ended = entry.ended or once or cut or timed
@@ -232,7 +231,7 @@ class Injection:
             if entry.fault.kind == "cut" and self._bus.cut == APART and self._bus.cut_row == row:
                 f.next_ns = self._bus.mend_ns = now_ns
             else:
-                f.next_ns = FAR_NS
+                f.next_ns = NEVER_NS
             renew(wire, now_ns)
             plan_alarm(wire, now_ns)
             refresh(wire)

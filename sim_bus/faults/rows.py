@@ -11,7 +11,6 @@ from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import seeded
 from coulombus.sim_bus.can_bus.records import ALL, CLIENT_ROWS, CLIENTS, STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import (
     BASES,
@@ -33,6 +32,7 @@ from coulombus.sim_bus.faults.fault_kinds import (
     SlowSdo,
     Trigger,
 )
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
 __all__ = ["Injected", "begin_enabled", "install", "restart_usually", "result_of"]
@@ -182,13 +182,13 @@ def install(
             elif duration is not None or into is not None:
                 row.every = 1
         elif isinstance(fault, Cut):
-            row.most, row.lasts_ns = fault.most, FAR_NS if duration is None else round(duration * 1e9)
+            row.most, row.lasts_ns = fault.most, NEVER_NS if duration is None else round(duration * 1e9)
             duration = None
             if fault.on is not None:
                 _match(row, fault.on, nodes, (*key, "on"))
-        length_ns = FAR_NS if duration is None else round(duration * 1e9)
+        length_ns = NEVER_NS if duration is None else round(duration * 1e9)
         if fault.after == "enabled":
-            row.from_ns = row.next_ns = FAR_NS
+            row.from_ns = row.next_ns = NEVER_NS
             row.until_ns = length_ns
             later.append((places[n], round(fault.at_s * 1e9)))
         else:
@@ -228,8 +228,8 @@ def _rows(station: int) -> slice:
 
 def _begin(row: FaultRecord, from_ns: int, length_ns: int) -> None:
     row.from_ns = from_ns
-    row.next_ns = FAR_NS if row.framed else from_ns
-    row.until_ns = min(from_ns + length_ns, FAR_NS)
+    row.next_ns = NEVER_NS if row.framed else from_ns
+    row.until_ns = min(from_ns + length_ns, NEVER_NS)
 
 
 def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> None:

@@ -33,7 +33,7 @@ from coulombus.kernels.records import Floats, IntegerField, Integers, RecordArra
 from coulombus.node import core, emcy, own_time
 from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
+from coulombus.sim_bus.can_bus.arbiter import end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, choose, on_its_bus
 from coulombus.sim_bus.can_bus.error_path import detailed_end, detailed_start
 from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord, Delivered, Stage
@@ -42,7 +42,7 @@ from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.rig.records import NOT_BEGUN, PlantRecord, RigAxis
-from coulombus.wire.clock import Clock, bus_ns, own_ns, to_bus
+from coulombus.wire.clock import NEVER_NS, Clock, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import BUS_SHIFT, QUEUE_CAPACITY, Frame, Queue
 
 __all__ = [
@@ -285,7 +285,7 @@ def refresh(
     w.stale = 0
     look_again(nodes, deadlines, wants)
     w.to_begin = 0
-    w.force_end_ns = FAR_NS
+    w.force_end_ns = NEVER_NS
     for a in range(axes.shape[0]):
         w.to_begin += axes[a].operator_start_ns == NOT_BEGUN
         w.force_end_ns = min(w.force_end_ns, axes[a].force_end_ns)
@@ -294,7 +294,7 @@ def refresh(
 @inlined
 def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, host: AxisRecords) -> tuple[int, int]:
     """Return the time and the kind of the next event."""
-    t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order at equal times
+    t = b.end_ns if b.stage != Stage.FREE else NEVER_NS  # strict comparisons keep the order at equal times
     what = FRAME_END
     if w.script_ns < t:
         t, what = w.script_ns, SCRIPT

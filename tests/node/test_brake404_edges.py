@@ -11,7 +11,8 @@ import pytest
 from coulombus.node import brake404, coil404, emcy, slots, slots404
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.kinds import number
-from coulombus.node.record import FAR_FUTURE_NS, new_nodes
+from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 
 KIND_BRAKE = number(BRAKE404)
 
@@ -124,13 +125,13 @@ def test_a_setpoint_whose_age_is_not_watched_stays(name):
         n.values[slots404.FAULT_MODE] = int(name[-1])
     assert output(n, T + 10**12) == 2.0
     assert n.ramping == ACTS
-    assert brake404.next_deadline(n, T, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert brake404.next_deadline(n, T, NEVER_NS) == NEVER_NS
 
 
 def test_an_age_of_a_microsecond_is_watched():
     n = brake()
     n.values[slots.SETPOINT_AGE_US] = 1
-    assert brake404.next_deadline(n, T, FAR_FUTURE_NS) == T + 1000
+    assert brake404.next_deadline(n, T, NEVER_NS) == T + 1000
     output(n, T + 1000)
     assert n.ramping == ON_THE_WAY
 
@@ -452,17 +453,17 @@ def test_no_pulse_without_torque_before_nor_with_a_fault_of_the_device(state):
     n = pulsed(**state)
     coil404.demagnetise(n, T + 1)
     assert (n.out_reverse_A, n.next_ns) == (0.0, T + 10**9)
-    assert coil404.next_deadline(n, T + 1, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert coil404.next_deadline(n, T + 1, NEVER_NS) == NEVER_NS
 
 
 def test_another_cause_does_not_bar_the_pulse():
     n = pulsed(causes=1 << emcy.RPDO_DEADLINE)
     coil404.demagnetise(n, T + 1)
     assert n.out_reverse_A == 0.25
-    assert coil404.next_deadline(n, T + 1, FAR_FUTURE_NS) == T + 60
+    assert coil404.next_deadline(n, T + 1, NEVER_NS) == T + 60
 
 
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 @pytest.mark.parametrize(
     ("t_ns", "due"), [(T - 1, T), (T, T + 60), (T + 59, T + 60), (T + 60, T + 61), (T + 99, T + 100)]
 )
@@ -472,10 +473,10 @@ def test_the_coil_wants_to_be_called_at_the_pulses_edges(before, t_ns, due):
 
 @pytest.mark.parametrize("state", [{"demag_A": 0.0}, {"pulse_due": 0}, {"out_brake_Nm": 0.5}])
 def test_without_a_pulse_the_coil_wants_nothing(state):
-    assert coil404.next_deadline(pulsed(**state), T, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert coil404.next_deadline(pulsed(**state), T, NEVER_NS) == NEVER_NS
 
 
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 @pytest.mark.parametrize(
     ("since", "t_ns", "due"), [(T, T, T + 100), (T, T + 99, T + 100), (T, T + 100, T + 10_000_100), (0, 5, 100)]
 )
@@ -494,7 +495,7 @@ def test_a_suspected_coil_is_looked_at_when_its_time_is_over(before, since, t_ns
         ({"out_brake_Nm": 0.0, "detected": TEMPERATURE}, True),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 def test_without_syncs_the_coil_is_looked_at_every_10_ms(state, looks, before):
     n = coil()
     n.sync_armed = 0

@@ -15,7 +15,8 @@ from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
-from coulombus.node.record import FAR_FUTURE_NS, new_nodes
+from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
 from places import CORPUS, beside
@@ -23,7 +24,7 @@ from places import CORPUS, beside
 
 def test_powered_off_nothing_goes_in_and_nothing_comes_out():
     bench = Bench("motor")
-    assert bench.node.next_ns == FAR_FUTURE_NS
+    assert bench.node.next_ns == NEVER_NS
     bench.sync()
     bench.nmt(1)
     bench.frame(0x601, bytes.fromhex("4000100000000000"))
@@ -67,7 +68,7 @@ def test_frames_of_others_change_nothing():
 def test_a_node_is_told_apart_from_its_neighbour_in_the_same_records():
     nodes = new_nodes(3)
     assert nodes.shape == (3,)
-    assert np.all(nodes["next_ns"] == FAR_FUTURE_NS)
+    assert np.all(nodes["next_ns"] == NEVER_NS)
     assert np.all(nodes["processing_ns"] == 20_000)
 
 

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from coulombus.node.drive402 import DRIVE402
-from coulombus.node.record import FAR_FUTURE_NS, new_nodes
+from coulombus.node.record import new_nodes
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, new_deadlines, new_wants, next_device
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.bits import frame_bits
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_RTR_FLAG, arbitration_key
 from places import EDS
 
@@ -173,12 +174,12 @@ def test_the_next_deadline_is_the_earliest(count):
     random = np.random.default_rng(count)
     nodes["next_ns"] = random.integers(0, 50, count)
     deadlines, wants = new_deadlines(count), new_wants(count)
-    assert deadlines[1] == FAR_FUTURE_NS
+    assert deadlines[1] == NEVER_NS
     look_again(nodes, deadlines, wants)
     for _ in range(200):
-        alive = np.where(nodes["powered"] == 1, nodes["next_ns"], FAR_FUTURE_NS)
+        alive = np.where(nodes["powered"] == 1, nodes["next_ns"], NEVER_NS)
         assert deadlines[1] == alive.min()
-        if alive.min() < FAR_FUTURE_NS:
+        if alive.min() < NEVER_NS:
             assert next_device(deadlines) == int(np.argmin(alive))
         i = int(random.integers(count))
         nodes[i].next_ns, nodes[i].powered = int(random.integers(0, 50)), int(random.random() < 0.9)
