@@ -18,8 +18,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, ValidationError
 
-from coulombus.eds.description import Description
-from coulombus.eds.object_name import object_key
+from coulombus.eds.description import Description, object_key
 from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.node.profile import Key, Profile, Terminal
 from coulombus.rigs.errors import RigError, Source
