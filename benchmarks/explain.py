@@ -90,7 +90,7 @@ def live(seconds: float = 20.0) -> None:
     batch = max(round(1e8 / every_ns), 1)
     begin = time.process_time()
     for number, start in enumerate(range(0, count, batch), 1):
-        explainer.take(Block.of(received[start : start + batch]).records)
+        explainer.take(Block.from_frames(received[start : start + batch]).records)
         if number % 5 == 0:
             explainer.look()
             followed.look(explainer.explanation())

@@ -22,10 +22,9 @@ from coulombus.eds.reader import parse_eds, read_eds
 from coulombus.kernels.decorator import Entry, kernel
 from coulombus.kernels.records import new_records
 from coulombus.node import core
-from coulombus.node.constants import MAX_PDOS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
-from coulombus.node.record import NODE, new_nodes
+from coulombus.node.record import MAX_PDOS, NODE, new_nodes
 from coulombus.wire.frame import Queue, data_word, new_queue
 
 __all__ = ["expedited_us", "fuzz", "nodes"]

@@ -28,8 +28,8 @@ class EdsChange(NamedTuple):
 
 def changes(a: Description, b: Description) -> Iterator[EdsChange]:
     """Yield what `b` has otherwise than `a`: node id and bit rate, [DeviceInfo], and objects by index."""
-    yield from _of("file", "node id", a.node_id, b.node_id)
-    yield from _of("file", "bit rate [bit/s]", a.bit_rate, b.bit_rate)
+    yield from _changes("file", "node id", a.node_id, b.node_id)
+    yield from _changes("file", "bit rate [bit/s]", a.bit_rate, b.bit_rate)
     infos = [{key.lower(): text for key, text in description.info.items()} for description in (a, b)]
     names = {key.lower(): key for description in (b, a) for key in description.info}
     for key, name in names.items():
@@ -38,7 +38,7 @@ def changes(a: Description, b: Description) -> Iterator[EdsChange]:
             continue  # an XDD has no place for some of these keys
         numbers = [number.value if (number := number_of(text)) else text for text in texts]
         if numbers[0] != numbers[1]:
-            yield from _of("[DeviceInfo]", name, *texts)
+            yield from _changes("[DeviceInfo]", name, *texts)
     for index in sorted(a.objects.keys() | b.objects.keys()):
         old, new = a.objects.get(index), b.objects.get(index)
         place = f"{index:04X}h"
@@ -47,8 +47,8 @@ def changes(a: Description, b: Description) -> Iterator[EdsChange]:
             continue
         subs = old.variables.keys() | new.variables.keys()
         if subs != {0}:
-            yield from _of(place, "name", old.name, new.name)
-        yield from _of(place, "object type", old.object_type, new.object_type)
+            yield from _changes(place, "name", old.name, new.name)
+        yield from _changes(place, "object type", old.object_type, new.object_type)
         for sub in sorted(subs):
             first, second = old.variables.get(sub), new.variables.get(sub)
             if first is None or second is None:
@@ -56,10 +56,10 @@ def changes(a: Description, b: Description) -> Iterator[EdsChange]:
                 yield EdsChange(f"{place}:{sub:02X}", "sub-index", *texts)
                 continue
             for (subject, value), (_, changed) in zip(_facts(first), _facts(second), strict=True):
-                yield from _of(f"{place}:{sub:02X}", subject, value, changed)
+                yield from _changes(f"{place}:{sub:02X}", subject, value, changed)
 
 
-def _of(place: str, subject: str, a: object, b: object) -> Iterator[EdsChange]:
+def _changes(place: str, subject: str, a: object, b: object) -> Iterator[EdsChange]:
     if a != b:
         yield EdsChange(place, subject, str(a or ""), str(b or ""))
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import Description, EdsError, read_eds
 
 __all__ = ["EdsFiles", "eds_files", "fitting", "read_folder"]
@@ -77,7 +77,9 @@ def fitting(descriptions: Iterable[Description], identity: tuple[int, int], revi
     """Return the file that matches a device's 1018h:01 and :02, preferably of its revision (1018h:03); None
     if there is none.
     """
-    alike = [description for description in descriptions if any(identity) and told_identity(description) == identity]
+    alike = [
+        description for description in descriptions if any(identity) and identity_from_1018h(description) == identity
+    ]
     return next(
         (description for description in alike if _revision(description) == revision), alike[0] if alike else None
     )

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from coulombus.eds.cia301 import ARRAY, DATA_TYPES, RECORD, VAR
-from coulombus.eds.dcf import COMMISSIONING
 from coulombus.eds.description import Description, Object, Value, Variable
 from coulombus.eds.file_info import OBJECT_LISTS, FileReader
 from coulombus.eds.reader import parse_sections
-from coulombus.eds.sections import Section, number_of
+from coulombus.eds.sections import EdsSection, number_of
+from coulombus.eds.values import COMMISSIONING
 from coulombus.eds.xdd import is_xml
 
 __all__ = ["COMMISSIONED", "HEADS", "OF_DCF", "FileContent", "Keys", "Row", "content_of", "spelled"]
@@ -103,7 +103,11 @@ def content_of(description: Description) -> FileContent:
             device["RevisionNumber"] = content.revision
         root = read_elements(description.path, description.text)
         counts = {what: sum(1 for _ in root.all(name)) for name, what in XML_ONLY.items()}
-        lists = [element for element in root.all("allowedValues") if element.of("value") or len(element.children) > 1]
+        lists = [
+            element
+            for element in root.all("allowedValues")
+            if element.children_named("value") or len(element.children) > 1
+        ]
         counts["lists of allowed values"] = len(lists)
         counts["PDOmapping default, or optional of a read-only object: an EDS says only that it may be mapped"] = sum(
             _says_more_than_mappable(element.attributes)
@@ -111,7 +115,7 @@ def content_of(description: Description) -> FileContent:
             for element in root.all(kind)
         )
         counts["names in further languages"] = sum(
-            len(parameter.of("label")) > 1 for parameter in root.all("parameter")
+            len(parameter.children_named("label")) > 1 for parameter in root.all("parameter")
         )
         content.left_out.update({what: count for what, count in counts.items() if count})
     return content
@@ -128,7 +132,7 @@ def _revision_of(description: Description) -> str:
     return f"0x{value:08X}" if isinstance(value, int) else ""
 
 
-def _enter_section(content: FileContent, section: Section) -> None:
+def _enter_section(content: FileContent, section: EdsSection) -> None:
     name = next((head for head in HEADS if head.lower() == section.name.lower()), "")
     if section.name.lower() in COMMISSIONING:
         name = COMMISSIONED
@@ -139,9 +143,9 @@ def _enter_section(content: FileContent, section: Section) -> None:
     )
 
 
-def _rows_of(reader: FileReader, entry: Object, lines: Mapping[int, Section]) -> Iterator[Row]:
+def _rows_of(reader: FileReader, entry: Object, lines: Mapping[int, EdsSection]) -> Iterator[Row]:
     index = entry.index
-    head = reader.sections.get(f"{index:04x}", Section("", 0))
+    head = reader.sections.get(f"{index:04x}", EdsSection("", 0))
     sections = {sub: _section_of(reader, variable, head, lines) for sub, variable in entry.variables.items()}
     is_plain = entry.object_type not in (ARRAY, RECORD) and sections.get(0, head) is head and len(sections) == 1
     top: Keys = {"ParameterName": entry.name, "ObjectType": f"0x{entry.object_type:X}"}
@@ -163,11 +167,13 @@ def _rows_of(reader: FileReader, entry: Object, lines: Mapping[int, Section]) ->
 
 
 def _numbered(reader: FileReader, name: str) -> dict[int, str]:
-    section = reader.sections.get(name, Section("", 0))
+    section = reader.sections.get(name, EdsSection("", 0))
     return {sub: section.get(key) for sub, key in section.numbered().items() if section.get(key)}
 
 
-def _section_of(reader: FileReader, variable: Variable, head: Section, lines: Mapping[int, Section]) -> Section | None:
+def _section_of(
+    reader: FileReader, variable: Variable, head: EdsSection, lines: Mapping[int, EdsSection]
+) -> EdsSection | None:
     """Return the section of a sub-index, that of its object (a VAR, or CompactSubObj), or None if it is implied."""
     section = lines.get(variable.line)
     if not lines:
@@ -179,7 +185,7 @@ def _section_of(reader: FileReader, variable: Variable, head: Section, lines: Ma
     return head if head.line == variable.line and variable.subindex == 0 and head.name else None
 
 
-def _keys_of(reader: FileReader, variable: Variable, section: Section | None) -> Keys:
+def _keys_of(reader: FileReader, variable: Variable, section: EdsSection | None) -> Keys:
     keys: Keys = {}
     if variable.data_type:
         keys["DataType"] = f"0x{variable.data_type:04X}"
@@ -203,7 +209,7 @@ def _keys_of(reader: FileReader, variable: Variable, section: Section | None) ->
     return keys
 
 
-def _others(section: Section) -> Keys:
+def _others(section: EdsSection) -> Keys:
     keys = {key: section.get(key.lower()) for key in ("ObjFlags", *OF_DCF) if section.get(key.lower())}
     for key, (text, _) in section.entries.items():
         if text and key not in COMMON:
@@ -219,7 +225,7 @@ def _is_kind(variable: Variable, *kinds: str) -> bool:
     return kind is not None and kind.kind in kinds
 
 
-def _text_of(reader: FileReader, variable: Variable, section: Section, key: str) -> str | None:
+def _text_of(reader: FileReader, variable: Variable, section: EdsSection, key: str) -> str | None:
     """Return a value as its section has it if all readers read it alike, else as this reader reads it."""
     low = key.lower()
     if low not in section.entries:

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from coulombus.eds.cia301 import DUMMY_TYPES, RECORD, predefined
-from coulombus.eds.dcf import COMMISSIONING, DcfReader
 from coulombus.eds.description import Object, Variable
-from coulombus.eds.sections import Section
+from coulombus.eds.sections import EdsSection
+from coulombus.eds.values import COMMISSIONING, DcfReader
 
 __all__ = ["FileReader"]
 
@@ -85,7 +85,7 @@ class FileReader(DcfReader):
         Each bit of CompactPDO is a sub-index of the communication parameters; bit 0 is sub-index 1.
         Mapping parameters have 64 entries, none of them mapped.
         """
-        device = self.sections.get("deviceinfo", Section("", 1))
+        device = self.sections.get("deviceinfo", EdsSection("", 1))
         compact, implied = self.integer(device, "compactpdo", 0), dict[int, Object]()
         line = device.at("compactpdo")
         for key, (first, name) in PDO_NUMBERS.items():
@@ -104,10 +104,10 @@ class FileReader(DcfReader):
 
     def dummies(self) -> frozenset[int]:
         """Return the types that may fill a PDO's gaps."""
-        dummy = self.sections.get("dummyusage", Section("DummyUsage", 1))
+        dummy = self.sections.get("dummyusage", EdsSection("DummyUsage", 1))
         return frozenset(code for code in DUMMY_TYPES if self.integer(dummy, f"dummy{code:04x}", 0))
 
-    def check_lists(self, objects: Mapping[int, Object], heads: Mapping[int, Section]) -> None:
+    def check_lists(self, objects: Mapping[int, Object], heads: Mapping[int, EdsSection]) -> None:
         """Check the lists of objects against the described objects."""
         listed: dict[int, str] = {}
         for name, ranges in OBJECT_LISTS.items():
@@ -156,7 +156,7 @@ class FileReader(DcfReader):
             if section is not None and self.integer(section, key, 0):
                 self.say(section.line, f"[{section.name}] describes {what}, whose objects depend on the device", "none")
         unknown: Counter[str] = Counter()
-        first: dict[str, Section] = {}
+        first: dict[str, EdsSection] = {}
         for name, section in self.sections.items():
             if section.index >= 0:
                 if section.entries.keys() <= OBJECT_KEYS:
@@ -176,7 +176,7 @@ class FileReader(DcfReader):
             text = f"{section.what(key)} is not a key of CiA 306" + (f" ({count} times)" if count > 1 else "")
             self.say(section.at(key), text, "a comment")
 
-    def check_attached(self, name: str, section: Section, objects: Mapping[int, Object]) -> None:
+    def check_attached(self, name: str, section: EdsSection, objects: Mapping[int, Object]) -> None:
         """Check sections like [1003Name] against the object to which they belong."""
         if not name.endswith(("name", "value", "denotation")):
             return

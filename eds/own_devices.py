@@ -12,7 +12,7 @@ from importlib import resources
 from coulombus.eds.description import Description
 from coulombus.eds.reader import read_eds
 
-__all__ = ["MANUFACTURER", "PRODUCTS", "SERVO", "VENDOR_ID", "is_another", "is_own", "packaged", "told_identity"]
+__all__ = ["MANUFACTURER", "PRODUCTS", "SERVO", "VENDOR_ID", "identity_from_1018h", "is_another", "is_own", "packaged"]
 
 FILES = ("motor.eds", "mr_brake.eds")
 
@@ -26,7 +26,7 @@ MANUFACTURER = range(0x2000, 0x6000)
 """Manufacturer-specific objects (CiA 301, table 2)."""
 
 
-def told_identity(description: Description) -> tuple[int, int]:
+def identity_from_1018h(description: Description) -> tuple[int, int]:
     """Return (1018h:01, 1018h:02) of the EDS file; 0 for a missing value."""
     numbers = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
     vendor, product = (value if isinstance(value, int) else 0 for value in numbers)
@@ -35,7 +35,9 @@ def told_identity(description: Description) -> tuple[int, int]:
 
 def is_another(description: Description, identity: tuple[int, int]) -> bool:
     """Tell whether a device with (1018h:01, 1018h:02) is another one than that of the EDS file; 0 says nothing."""
-    return any(seen not in (0, told) for seen, told in zip(identity, told_identity(description), strict=True) if told)
+    return any(
+        seen not in (0, told) for seen, told in zip(identity, identity_from_1018h(description), strict=True) if told
+    )
 
 
 def is_own(role: str, identity: tuple[int, int]) -> bool:

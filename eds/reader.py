@@ -7,7 +7,7 @@ is ambiguous there, the variable has no default, `Variable.unreadable` says why,
 refuses the map.
 
 The file is read in two steps: lines to sections (`eds.sections`), sections to objects
-(here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file_info`).
+(here; values by `eds.values`, a DCF's by `eds.values`, the file's other parts by `eds.file_info`).
 XDD and XDC files (CiA 311) are recognised by their content; `eds.xdd` converts their XML to sections.
 """
 
@@ -25,7 +25,7 @@ from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, 
 from coulombus.eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
 from coulombus.eds.file_info import FileReader
 from coulombus.eds.regular_file import NoRegularFile, read_regular
-from coulombus.eds.sections import PDO_PARAMETERS, Section, alike, number_of
+from coulombus.eds.sections import PDO_PARAMETERS, EdsSection, alike, number_of
 from coulombus.eds.xdd import XddReader, is_xml
 
 __all__ = [
@@ -74,7 +74,7 @@ def read_eds(path: str | Path) -> Description:
 
 def parse_sections(raw: bytes, path: str) -> tuple[Description, FileReader]:
     """Parse as `parse_eds`; return the sections, too, with the reader of their values."""
-    reader = (_XmlReader if is_xml(raw) else _Reader)(path, raw)
+    reader = (_XmlReader if is_xml(raw) else _DescriptionReader)(path, raw)
     return reader.build(), reader
 
 
@@ -113,11 +113,11 @@ def _collector_at_rest() -> Iterator[None]:
             gc.enable()
 
 
-class _Reader(FileReader):
+class _DescriptionReader(FileReader):
     def build(self) -> Description:
         self.node_id, bit_rate = self.commissioning()
-        heads: dict[int, Section] = {}
-        subs: dict[int, dict[int, Section]] = {}
+        heads: dict[int, EdsSection] = {}
+        subs: dict[int, dict[int, EdsSection]] = {}
         for section in self.sections.values():
             if section.index >= 0 > section.subindex:
                 heads[section.index] = section
@@ -145,7 +145,7 @@ class _Reader(FileReader):
             bit_rate,
         )
 
-    def in_decimal(self, subs: dict[int, Section]) -> dict[int, Section]:
+    def in_decimal(self, subs: dict[int, EdsSection]) -> dict[int, EdsSection]:
         """Return the sub-indices by their numbers.
 
         They are decimal if sub-index 0 proves that [2000sub10] means the tenth.
@@ -162,10 +162,10 @@ class _Reader(FileReader):
         self.say(subs[0x10].line, text, "decimal numbers")
         return counted
 
-    def object(self, index: int, head: Section | None, subs: dict[int, Section]) -> Object:
+    def object(self, index: int, head: EdsSection | None, subs: dict[int, EdsSection]) -> Object:
         if head is None:
             first = min(subs.values(), key=lambda section: section.line)
-            head = Section(f"{index:04X}", first.line, {"objecttype": (str(RECORD), first.line)})
+            head = EdsSection(f"{index:04X}", first.line, {"objecttype": (str(RECORD), first.line)})
             self.say(first.line, f"[{first.name}] has no section [{index:04X}]", "a RECORD", "error")
         name = head.get("parametername") or f"Object {index:04X}h"
         if head.entries.keys() != {"objecttype"} and not head.get("parametername"):
@@ -197,7 +197,12 @@ class _Reader(FileReader):
         return Object(index, name, kind, MappingProxyType(dict(sorted(variables.items()))))
 
     def check_subs(
-        self, index: int, head: Section, subs: Mapping[int, Section], variables: Mapping[int, Variable], compact: int
+        self,
+        index: int,
+        head: EdsSection,
+        subs: Mapping[int, EdsSection],
+        variables: Mapping[int, Variable],
+        compact: int,
     ) -> None:
         """Check SubNumber and the default of sub-index 0 against the described sub-indices."""
         stated = self.integer(head, "subnumber", 0)
@@ -222,7 +227,7 @@ class _Reader(FileReader):
             text = f"[{head.name}] has sub-indices up to {last}, but sub-index 0 says {highest.default!r}"
             self.say(highest.line, text, "what is described")
 
-    def object_type(self, head: Section, subs: dict[int, Section], compact: int) -> int:
+    def object_type(self, head: EdsSection, subs: dict[int, EdsSection], compact: int) -> int:
         text = self.bare(head, "objecttype").upper()
         names = {"VAR": VAR, "ARRAY": ARRAY, "RECORD": RECORD, "DOMAIN": DOMAIN}
         guess = RECORD if subs else ARRAY if compact else VAR
@@ -244,10 +249,10 @@ class _Reader(FileReader):
             return guess
         return kind
 
-    def compact(self, index: int, head: Section, name: str, count: int) -> dict[int, Variable]:
+    def compact(self, index: int, head: EdsSection, name: str, count: int) -> dict[int, Variable]:
         """Expand CompactSubObj: sub-index 0 is implied, the others share the head's type, access and default."""
         number = Variable(index, 0, "Highest sub-index", 5, "ro", count, False, None, None, False, head.line)
-        section = self.sections.get(f"{index:04x}name", Section("", head.line))
+        section = self.sections.get(f"{index:04x}name", EdsSection("", head.line))
         names = {subindex: section.get(key) for subindex, key in section.numbered().items()}
         first = self.variable(index, 1, head, names.get(1) or f"{name} 1", ARRAY)
         variables = {0: number, 1: first}
@@ -256,7 +261,7 @@ class _Reader(FileReader):
             variables[subindex] = Variable(**{**vars(first), "subindex": subindex, "name": sub_name})
         return variables
 
-    def variable(self, index: int, subindex: int, section: Section, name: str, kind: int) -> Variable:
+    def variable(self, index: int, subindex: int, section: EdsSection, name: str, kind: int) -> Variable:
         code = self.data_type(index, subindex, section, kind)
         access = self.bare(section, "accesstype").lower().replace("/", "")
         if access not in ACCESS_TYPES:
@@ -279,7 +284,7 @@ class _Reader(FileReader):
             self.say(section.at("defaultvalue"), text, str(default))
         return self.configured(variable, section, "parametervalue")
 
-    def data_type(self, index: int, subindex: int, section: Section, kind: int) -> int:
+    def data_type(self, index: int, subindex: int, section: EdsSection, kind: int) -> int:
         number = number_of(self.bare(section, "datatype"))
         plain = number is not None and not (number.complaint or section.conflicts)
         if number and plain and number.value in DATA_TYPES and f"{number.value:04x}sub1" not in self.sections:
@@ -320,5 +325,5 @@ class _Reader(FileReader):
         return code
 
 
-class _XmlReader(XddReader, _Reader):
+class _XmlReader(XddReader, _DescriptionReader):
     """Sections of an XDD, and the objects built from any sections."""

@@ -27,7 +27,7 @@ _ANSWERS = {1: (3, 4), 2: (2, 4), 5: (2, 4, 6), 6: (4, 5)}
 
 
 @dataclass
-class _Asked:
+class _Request:
     """A request, how often it was repeated, how often it was answered, and its first answer."""
 
     request: bytes
@@ -68,7 +68,7 @@ class SdoAnswers:
         self._request = self._last = b""  # the request is stored while the client waits for its first answer
         self._behind = 0  # messages sent after the last answer
         self._count = 0  # number of initiating requests
-        self._requests: dict[tuple[int, int], _Asked] = {}
+        self._requests: dict[tuple[int, int], _Request] = {}
         self._place: tuple[int, int] | None = None  # object of the last initiating request
         self._twice: set[int] = set()  # numbers of the requests during which second answers came
         self._differ = False
@@ -81,7 +81,7 @@ class SdoAnswers:
         place = named(request)
         before = self._requests.pop(place, None)
         if place != self._place:
-            self._requests[place] = _Asked(request)
+            self._requests[place] = _Request(request)
         elif before is not None and before.request == request:
             before.times += 1
             self._requests[place] = before
@@ -91,7 +91,7 @@ class SdoAnswers:
         """Record a message of the client that continues or ends a transfer."""
         self._request, self.again, self._behind = b"", b"", self._behind + 1
 
-    def take(self, answer: bytes) -> bool:
+    def add_answer(self, answer: bytes) -> bool:
         """Record a message of the server; tell whether it continues the transfer.
 
         A repeated frame does not, nor does an answer to an earlier request.

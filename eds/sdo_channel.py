@@ -34,7 +34,6 @@ _BLOCK_UPLOAD = (
     *(forms.BLOCK_UPLOAD_END, forms.BLOCK_UPLOAD_ENDED),
 )
 _UPLOAD = (forms.UPLOAD_INITIATE, forms.UPLOAD_INITIATED, forms.UPLOAD_SEGMENT_REQUEST, *_BLOCK_UPLOAD)
-_BLOCK_INITIATED = (forms.BLOCK_UPLOAD_INITIATED, forms.BLOCK_DOWNLOAD_INITIATED)
 
 
 @dataclass
@@ -158,7 +157,7 @@ class SdoChannel:
         if self._transfer is not None or self._begun or not data[0]:
             return {"service": "SDO", "phase": f"Unknown command {data[0]:02X}h"}
         self._transfer = transfer = _unseen(from_server, blocks := SubBlocks())
-        blocks.take(data)
+        blocks.add_segment(data)
         return {"service": transfer.service, "phase": WITHIN_BLOCK, "remark": NO_BEGINNING}
 
     # initiation
@@ -221,7 +220,7 @@ class SdoChannel:
             ambiguous = bool(data[0])  # a block has no segment 0
             transfer = Transfer(upload, None, "" if ambiguous else "segmented")
             return self._line(transfer, WITHIN if ambiguous else form.phase, {"remark": NO_BEGINNING})
-        remark = transfer.joined.take(data)
+        remark = transfer.joined.add_segment(data)
         last = bool(data[0] & 0x01)
         says: Row = {"segment": data[1 : 8 - (data[0] >> 1 & 7)].hex(), "last": last, "bytes": transfer.joined.count}
         if upload:
@@ -264,7 +263,7 @@ class SdoChannel:
         blocks = transfer.joined
         if not isinstance(blocks, SubBlocks):  # the response to the initiation is not in the recording
             transfer.joined = blocks = SubBlocks(blocks.size, whole=False)
-        remark = blocks.take(data)
+        remark = blocks.add_segment(data)
         says: Row = {"number": data[0] & 0x7F, "segment": data[1:].hex(), "last": bool(data[0] & 0x80)}
         says["bytes"] = blocks.count_in_order
         if remark:

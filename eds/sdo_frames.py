@@ -18,6 +18,7 @@ __all__ = [
     "BLOCK_DOWNLOAD_ENDED",
     "BLOCK_DOWNLOAD_INITIATE",
     "BLOCK_DOWNLOAD_INITIATED",
+    "BLOCK_SEGMENTS",
     "BLOCK_UPLOAD_ACK",
     "BLOCK_UPLOAD_END",
     "BLOCK_UPLOAD_ENDED",
@@ -41,6 +42,8 @@ __all__ = [
 ]
 
 ABORT = 0x80
+BLOCK_SEGMENTS = 127
+"""Largest number of segments in a block of an SDO block transfer."""
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from coulombus.eds.sdo_frames import crc16
+from coulombus.eds.sdo_frames import BLOCK_SEGMENTS, crc16
 
-__all__ = ["BLOCK_SEGMENTS", "Joined", "Segments", "SubBlocks", "are_wrong"]
+__all__ = ["Joined", "Segments", "SubBlocks", "are_wrong"]
 
-BLOCK_SEGMENTS = 127
-"""Largest number of segments in a block."""
 _SEGMENT = 7
 _MOST_BYTES = 1 << 26
 """Bytes beyond this number are counted but not stored."""
@@ -73,7 +71,7 @@ class Segments(Joined):
     toggle: int = 0
     _last: bytes = b""
 
-    def take(self, data: bytes) -> str:
+    def add_segment(self, data: bytes) -> str:
         """Process a segment; return a remark on it or ""."""
         if data[0] & 0x10 == self.toggle:
             self.toggle ^= 0x10
@@ -127,7 +125,7 @@ class SubBlocks(Joined):
         count = self.count + _SEGMENT * self.in_order
         return count if self.size is None else min(count, self.size)
 
-    def take(self, data: bytes) -> str:
+    def add_segment(self, data: bytes) -> str:
         """Process a segment; return a remark on it or ""."""
         number, remark = data[0] & 0x7F, ""
         if number <= self.number:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from coulombus.eds.description import Diagnosis, Severity
 
-__all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionReader", "alike", "cut", "number_of"]
+__all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "EdsSection", "Number", "SectionReader", "alike", "cut", "number_of"]
 
 PDO_PARAMETERS = range(0x1400, 0x1C00)
 MOST_QUOTED = 60
@@ -74,7 +74,7 @@ def _same(first: str, second: str) -> bool:
 
 
 @dataclass
-class Section:
+class EdsSection:
     """Keys in lower case with value and line; `conflicts` are keys that occur twice with different values."""
 
     name: str
@@ -164,7 +164,7 @@ class SectionReader:
     def __init__(self, path: str, raw: bytes) -> None:
         self.path = path
         self.diagnoses: list[Diagnosis] = []
-        self.sections: dict[str, Section] = {}
+        self.sections: dict[str, EdsSection] = {}
         self.text = self.decode(raw)
         self.split()
 
@@ -199,7 +199,7 @@ class SectionReader:
 
     def split(self) -> None:
         """Split the text into sections; a line that is neither head nor key is a comment."""
-        section: Section | None = None
+        section: EdsSection | None = None
         lowered: dict[str, str] = {}  # the same few keys occur again and again
         for number, raw in enumerate(_LINE_END.split(self.text), 1):
             line = raw.strip()
@@ -231,7 +231,7 @@ class SectionReader:
                     section.entries[key] = (value.strip(), number)
                     section.spelled[key] = spelled
 
-    def open_section(self, line: str, number: int) -> Section:
+    def open_section(self, line: str, number: int) -> EdsSection:
         """Return the section of a head; a second head with the same name continues the first section."""
         name, bracket, rest = line[1:].partition("]")
         name = name.strip()
@@ -257,9 +257,9 @@ class SectionReader:
             )
             earlier.reopened = True
             return earlier
-        return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
+        return self.sections.setdefault(key, EdsSection(cut(name), number, index=index, subindex=subindex))
 
-    def enter_again(self, section: Section, key: str, spelled: str, value: str, number: int) -> None:
+    def enter_again(self, section: EdsSection, key: str, spelled: str, value: str, number: int) -> None:
         """Handle a repeated key: the first value counts, and a conflict is recorded."""
         first, line = section.entries[key]
         if _same(first, value):
@@ -272,7 +272,7 @@ class SectionReader:
         text = f"[{section.name}] {cut(spelled)}={cut(value)}, but line {line} says {cut(first) or 'nothing'}"
         self.say(number, text, f"the first, {cut(first) or 'nothing'}", severity)
 
-    def bare(self, section: Section, key: str) -> str:
+    def bare(self, section: EdsSection, key: str) -> str:
         """Return a value without the comment after it."""
         entry = section.entries.get(key)
         if entry is None or entry[0].isalnum():  # the usual case
@@ -298,7 +298,7 @@ class SectionReader:
             section.entries[key] = (bare, section.at(key))
         return bare
 
-    def integer(self, section: Section, key: str, assumed: int) -> int:
+    def integer(self, section: EdsSection, key: str, assumed: int) -> int:
         """Return a key's number; `assumed` if it is absent or empty (not reported) or no number (reported)."""
         text = self.bare(section, key)
         if not text:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from coulombus.eds.drive_axis import first_axis_object
 
-__all__ = ["BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "told_unit"]
+__all__ = ["BLOCK_UNITS", "NOTATION", "Unit", "fixed_unit", "unit_from_code"]
 
 NOTATION: Mapping[int, str] = {
     0x01: "m",
@@ -68,7 +68,7 @@ def fixed_unit(index: int, subindex: int) -> Unit | None:
     return FIXED.get(first_axis_object(index)) if subindex == 0 else None
 
 
-def told_unit(code: int, digits: int) -> Unit | None:
+def unit_from_code(code: int, digits: int) -> Unit | None:
     """Return the unit of a CiA 404 block: 10^-digits, with the prefix of the unit's code; None if the unit
     is unknown.
 

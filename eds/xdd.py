@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from coulombus.eds.description import EdsError
-from coulombus.eds.sections import Section, SectionReader, cut, number_of
+from coulombus.eds.sections import EdsSection, SectionReader, cut, number_of
 
 if TYPE_CHECKING:
     from coulombus.eds.xml_elements import XmlElement
@@ -221,8 +221,8 @@ class XddReader(SectionReader):
         depend on the plugged-in hardware.
         """
         for layers in root.all("ApplicationLayers"):
-            for listed in layers.of("CANopenObjectList"):
-                for element in listed.of("CANopenObject"):
+            for listed in layers.children_named("CANopenObjectList"):
+                for element in listed.children_named("CANopenObject"):
                     index = self.hexadecimal(element, "index", 4)
                     if index is not None:
                         yield index, element
@@ -243,12 +243,12 @@ class XddReader(SectionReader):
     def enter_object(self, index: int, element: XmlElement) -> None:
         """Add a section for an object, and one for each of its sub-objects."""
         self.enter(self.section(element, f"{index:04X}", index), element)
-        for sub in element.of("CANopenSubObject"):
+        for sub in element.children_named("CANopenSubObject"):
             subindex = self.hexadecimal(sub, "subIndex", 2)
             if subindex is not None:
                 self.enter(self.section(sub, f"{index:04X}sub{subindex:X}", index, subindex), sub)
 
-    def section(self, element: XmlElement, name: str, index: int, subindex: int = -1) -> Section:
+    def section(self, element: XmlElement, name: str, index: int, subindex: int = -1) -> EdsSection:
         """Return a new section, or the earlier section of the same object."""
         earlier = self.sections.get(name.lower())
         if earlier is not None:
@@ -257,9 +257,9 @@ class XddReader(SectionReader):
             )
             earlier.reopened = True
             return earlier
-        return self.sections.setdefault(name.lower(), Section(name, element.line, index=index, subindex=subindex))
+        return self.sections.setdefault(name.lower(), EdsSection(name, element.line, index=index, subindex=subindex))
 
-    def enter(self, section: Section, element: XmlElement) -> None:
+    def enter(self, section: EdsSection, element: XmlElement) -> None:
         """Add an element's attributes; XDD notation is converted to EDS notation."""
         for spelled, text in element.attributes.items():
             key = KEYS.get(spelled)
@@ -267,7 +267,7 @@ class XddReader(SectionReader):
                 digits = spelled in IN_HEXADECIMAL and re.fullmatch(r"[0-9a-fA-F]{1,8}", text.strip())
                 self.put(section, key, spelled, f"0x{text.strip()}" if digits else text, element.line)
 
-    def put(self, section: Section, key: str, spelled: str, text: str, line: int) -> None:
+    def put(self, section: EdsSection, key: str, spelled: str, text: str, line: int) -> None:
         """Add a key on one line: the first value counts, and a different one is reported."""
         text = " ".join(text.splitlines()).strip()
         if key.lower() in section.entries:
@@ -276,7 +276,7 @@ class XddReader(SectionReader):
             section.entries[key.lower()] = (text, line)
             section.spelled[key.lower()] = spelled
 
-    def enter_parameter(self, section: Section, parameters: Mapping[str, XmlElement]) -> None:
+    def enter_parameter(self, section: EdsSection, parameters: Mapping[str, XmlElement]) -> None:
         """Add the attributes of the parameter to which an object refers, and then those of its template."""
         name, line = section.entries.pop("uniqueidref", ("", section.line))
         if not name:
@@ -302,7 +302,7 @@ class XddReader(SectionReader):
             section.entries.pop("accesstype", None)
             self.put(section, "AccessType", "access", ACCESS[DEFAULT_ACCESS], parameter.line)
 
-    def direct(self, section: Section) -> None:
+    def direct(self, section: EdsSection) -> None:
         """Translate PDOmapping; CiA 306 states the direction in the access type."""
         direction, line = section.entries.get("pdomapping", ("", section.line))
         if direction.lower() not in MAPPINGS:
@@ -335,7 +335,7 @@ class XddReader(SectionReader):
             self.put(device, "SimpleBootUpMaster", "SimpleBootUpMaster", TRUTH.get(text.lower(), text), master.line)
         self.enter_comments(identity)
         rates = root.first("baudRate")
-        for rate in rates.of("supportedBaudRate") if rates is not None else ():
+        for rate in rates.children_named("supportedBaudRate") if rates is not None else ():
             if number := re.match(r"\s*(\d{1,4})\b", rate.attributes.get("value", "")):
                 self.put(device, f"BaudRate_{number[1]}", f"BaudRate_{number[1]}", "1", rate.line)
         for dummy in root.all("dummy"):
@@ -373,9 +373,9 @@ class XddReader(SectionReader):
                 text = element.attributes[spelled].strip()
                 self.put(section, key, key, TRUTH.get(text.lower(), text), element.line)
 
-    def other(self, name: str, element: XmlElement) -> Section:
+    def other(self, name: str, element: XmlElement) -> EdsSection:
         """Return a section that belongs to no object."""
-        return self.sections.setdefault(name.lower(), Section(name, element.line))
+        return self.sections.setdefault(name.lower(), EdsSection(name, element.line))
 
     def check_lists(self, objects: object, heads: object) -> None:
         """Do nothing: an XDD has no lists of objects; the elements themselves are the list."""
@@ -393,12 +393,14 @@ def _moment(text: str) -> str:
 
 def _of_parameter(parameter: XmlElement) -> Iterator[tuple[str, str, str, int]]:
     """Yield key, its XML name, value and line of each attribute of a parameter."""
-    labels = sorted(parameter.of("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en"))
+    labels = sorted(
+        parameter.children_named("label"), key=lambda label: not label.attributes.get("lang", "").startswith("en")
+    )
     for label in labels[:1]:
         yield "ParameterName", "label", " ".join(label.text.split()), label.line
-    for description in parameter.of("description")[:1]:
+    for description in parameter.children_named("description")[:1]:
         yield "Description", "description", " ".join(description.text.split()), description.line
-    for unit in parameter.of("unit")[:1]:
+    for unit in parameter.children_named("unit")[:1]:
         symbol = unit.first("label")
         yield "Unit", "unit", "" if symbol is None else " ".join(symbol.text.split()), unit.line
         yield "Factor", "multiplier", unit.attributes.get("multiplier", "").strip(), unit.line

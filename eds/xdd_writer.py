@@ -202,15 +202,15 @@ def _management(network: Element, sections: Mapping[str, Keys]) -> None:
         for rate in rates:
             SubElement(listed, "supportedBaudRate", {"value": f"{rate} Kbps"})
     management = SubElement(network, "NetworkManagement")
-    features = {name: _said(key, device[key.lower()]) for name, key in FEATURES.items() if device.get(key.lower())}
+    features = {name: _xml_value(key, device[key.lower()]) for name, key in FEATURES.items() if device.get(key.lower())}
     SubElement(management, "CANopenGeneralFeatures", features)
     if device.get("simplebootupmaster"):
-        text = _said("SimpleBootUpMaster", device["simplebootupmaster"])
+        text = _xml_value("SimpleBootUpMaster", device["simplebootupmaster"])
         SubElement(management, "CANopenMasterFeatures", {"bootUpMaster": text})
     entries = {key.lower(): text for key, text in sections.get("DeviceComissioning", {}).items() if text}
     if entries:
         attributes = {
-            name: _said(key, entries[key.lower()]) for name, key in COMMISSIONING.items() if key.lower() in entries
+            name: _xml_value(key, entries[key.lower()]) for name, key in COMMISSIONING.items() if key.lower() in entries
         }
         attributes["nodeID"] = xml(_number(entries.get("nodeid", "0")))
         if "baudrate" in entries:
@@ -223,7 +223,7 @@ def _number(text: str) -> str:
     return text if number is None else str(number.value)
 
 
-def _said(key: str, text: str) -> str:
+def _xml_value(key: str, text: str) -> str:
     number = number_of(text)
     if key in TRUTH and number is not None:
         return "true" if number.value else "false"

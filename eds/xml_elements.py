@@ -56,7 +56,7 @@ class XmlElement:
         """Return the first element of this name at any depth, None if there is none."""
         return next(self.all(name), None)
 
-    def of(self, name: str) -> list[XmlElement]:
+    def children_named(self, name: str) -> list[XmlElement]:
         """Return the child elements of this name."""
         return [child for child in self.children if child.name == name]
 

@@ -81,7 +81,7 @@ def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
     """Scale the blocks, and update the driver's checks from 2010h, 2011h and 2012h."""
-    own_number = objects.own
+    own_number = objects.own_number
     _scale_output(record, objects)
     _scale_inputs(record, objects)
     record["max_A"], record["short_A"] = own_number(0x2010, 1, 1500) / 1000, own_number(0x2010, 2, 3000) / 1000
@@ -314,7 +314,7 @@ BRAKE404 = Profile(
         apply=_apply,
         connection_lost=_connection_lost,
         react=_react,
-        look=coil404.look,
+        detect=coil404.detect,
         next_deadline=next_deadline,
     ),
     product=PRODUCTS["brake"],

@@ -28,7 +28,7 @@ from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, slots404
 from coulombus.node.record import NodeRecord
 
-__all__ = ["demagnetise", "look", "next_deadline", "start"]
+__all__ = ["demagnetise", "detect", "next_deadline", "start"]
 
 _OPEN_SHARE = 0.25
 _TEMPERATURE = 1 << emcy.OVER_TEMPERATURE - emcy.FIRST_DEVICE_CAUSE
@@ -47,7 +47,7 @@ def start(n: NodeRecord) -> None:
 
 
 @kernel
-def look(n: NodeRecord, t_ns: int) -> None:
+def detect(n: NodeRecord, t_ns: int) -> None:
     """Update `detected` and `limit_Nm` from the measurements.
 
     Almost always nothing changes.

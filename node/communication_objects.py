@@ -14,11 +14,11 @@ import numpy as np
 from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.pdo import COMMUNICATION
 from coulombus.node import core, guarding
-from coulombus.node.constants import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY, MAX_SDO_SERVERS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import Pdos, restricted
 from coulombus.node.profile import Profile, SdoAbort
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import MAX_CONSUMERS, MAX_HISTORY, MAX_SDO_SERVERS, NodeRecord
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["PRODUCER", "SDO_SERVERS", "Communication"]
 
@@ -207,7 +207,7 @@ class Communication:
         producer_ns = period_ns if cob_id & PRODUCER and cob_id & 0x7FF else 0
         if node["sync_producer_ns"] != producer_ns:
             node["sync_producer_ns"] = producer_ns
-            node["sync_next_ns"] = t_ns + producer_ns if producer_ns else FAR_FUTURE_NS
+            node["sync_next_ns"] = t_ns + producer_ns if producer_ns else NEVER_NS
             node["sync_counter"] = 0
         node["sync_id"] = cob_id & 0x7FF
         node["sync_window_ns"] = number(0x1007) * 1000
@@ -241,7 +241,7 @@ class Communication:
     def _refresh_heartbeat(self, subindex: int, t_ns: int) -> None:
         period_ns = 0 if self._no_heartbeat else self._dictionary.number(0x1017) * 1_000_000
         self._node["heartbeat_ns"] = period_ns
-        self._node["heartbeat_next_ns"] = t_ns + period_ns if period_ns else FAR_FUTURE_NS
+        self._node["heartbeat_next_ns"] = t_ns + period_ns if period_ns else NEVER_NS
         self._refresh_guarding(0, t_ns)
 
     def _refresh_guarding(self, subindex: int, t_ns: int) -> None:

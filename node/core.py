@@ -20,7 +20,6 @@ from coulombus.eds.cia305 import REQUESTS, UNCONFIGURED
 from coulombus.eds.nmt import AFTER_COMMAND, AFTER_ERROR, ALLOWED, Service
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.node import deadlines, emcy, guarding, pdo_traffic
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
@@ -36,6 +35,7 @@ from coulombus.node.reactions import (
 )
 from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_kernels import answer_upload, collect_segment, send_segments
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 
@@ -221,7 +221,7 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
 def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Handle the deadlines due at `t_ns`, and set `next_ns`."""
     if n.powered == 0:
-        n.next_ns = FAR_FUTURE_NS
+        n.next_ns = NEVER_NS
         return
     if n.kind != NO_KIND:
         inputs(n, t_ns, out)
@@ -261,7 +261,7 @@ def _produce_sync(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    next_ns = min(deadlines.next_deadline(n, FAR_FUTURE_NS), n.outbox_next_ns)
+    next_ns = min(deadlines.next_deadline(n, NEVER_NS), n.outbox_next_ns)
     if n.sync_producer_ns > 0 and ALLOWED[n.nmt] & Service.SYNC:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)

@@ -13,9 +13,9 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy, guarding, slots
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.reactions import alarm
 from coulombus.node.record import NodeRecord
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
@@ -111,7 +111,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
         if t_ns >= n.sdo_deadline_ns[k]:
             if ALLOWED[n.nmt] & Service.SDO:
                 push(out, n.station, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
-            n.sdo_deadline_ns[k] = FAR_FUTURE_NS
+            n.sdo_deadline_ns[k] = NEVER_NS
     return lost_now
 
 

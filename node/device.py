@@ -19,16 +19,14 @@ from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_objects import PRODUCER, SDO_SERVERS, Communication
-from coulombus.node.constants import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
-from coulombus.node.parameters import Parameters
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
-from coulombus.node.record import NodeRecord
-from coulombus.node.sdo_access import Access
-from coulombus.node.sdo_service import SdoService
-from coulombus.node.store import Store
+from coulombus.node.record import SDO_TIMEOUT_NS, NodeRecord
+from coulombus.node.sdo_service import Access, SdoService
+from coulombus.node.store import Store, StoredParameters
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
@@ -123,7 +121,7 @@ class Device:
         self.dictionary = Dictionary(description, node_id, profile.objects, record["values"])
         self.communication = Communication(self.dictionary, record, profile)
         self.store = Store() if store is None else store
-        self.parameters = Parameters(self.dictionary, self.store, profile.acts)
+        self.parameters = StoredParameters(self.dictionary, self.store, profile.acts)
         access = Access(self.dictionary, self.communication, self.parameters, profile, self._downloaded)
         self._sdo = SdoService(access, self.communication, record)
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
@@ -212,7 +210,7 @@ class Device:
         for field in self.profile.outputs:
             record[field] = 0
         record["rpdo_pending"] = record["setpoint_armed"] = record["ramping"] = 0
-        record["next_ns"] = FAR_FUTURE_NS
+        record["next_ns"] = NEVER_NS
         self._sdo.drop()
 
     def _load(self, first: int, t_ns: int) -> None:

@@ -21,8 +21,8 @@ from coulombus.eds.codec import real_bits, real_value
 from coulombus.eds.own_devices import MANUFACTURER, VENDOR_ID
 from coulombus.eds.pdo import COB_ID_INVALID, unreadable
 from coulombus.eds.reader import Description, Object, Value, Variable
-from coulombus.node.constants import SPARE_SLOTS
 from coulombus.node.profile import CoreObject, Key, SdoAbort
+from coulombus.node.record import SPARE_SLOTS
 from coulombus.node.slots import FIRST_FREE
 
 __all__ = ["Dictionary", "DictionaryState", "decode", "encode"]
@@ -87,7 +87,7 @@ class Dictionary:
         """Defaults for the present node id, computed once per description."""
         cache = self.description.derived.setdefault(_Defaults, {})
         if self.node_id not in cache:
-            cache[self.node_id] = _Defaults.of(self.description, self.node_id)
+            cache[self.node_id] = _Defaults.from_description(self.description, self.node_id)
         defaults: _Defaults = cache[self.node_id]
         return defaults
 
@@ -152,7 +152,7 @@ class Dictionary:
         value = self._store.get(key) if slot is None else self._in_slot(key, slot)
         return value if isinstance(value, int) else fallback
 
-    def own(self, index: int, subindex: int, fallback: int) -> int:
+    def own_number(self, index: int, subindex: int, fallback: int) -> int:
         """Return an integer object of 2000h to 5FFFh as our files define it; `fallback` in another vendor's
         file.
         """
@@ -240,7 +240,7 @@ class _Defaults(NamedTuple):
     unreadable: Mapping[int, str]
 
     @classmethod
-    def of(cls, description: Description, node_id: int) -> _Defaults:
+    def from_description(cls, description: Description, node_id: int) -> _Defaults:
         """Return the defaults: the EDS's, else CiA 301's, else the zero of the type."""
         unreadable_pdos = unreadable(description, 1 if node_id == UNCONFIGURED else node_id)
         rows = []

@@ -106,7 +106,7 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
     """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, the gains
     2010h, the units and the period 60C2h.
     """
-    number, own_number = objects.number, objects.own
+    number, own_number = objects.number, objects.own_number
 
     def value(index: int, subindex: int) -> int:
         return number(index, subindex, 0)
@@ -155,7 +155,7 @@ def _is_servo(record: NodeRecord, objects: Objects) -> bool:
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["supply_mV"] = objects.number(0x6079, 0, 0) or _SUPPLY_mV
-    ours = objects.own(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
+    ours = objects.own_number(0x1018, 1, 0) != 0  # our own drive takes the fault reaction regardless of 6007h
     record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     record["modes"] = _modes(objects)
     record["servo"] = servo402.servo_address() if _is_servo(record, objects) else 0
@@ -213,7 +213,7 @@ DRIVE402 = Profile(
     behaviour=Behaviour(
         sample=states402.sample,
         actuate=states402.actuate,
-        look=states402.look,
+        detect=states402.detect,
         apply=_apply,
         connection_lost=_connection_lost,
         react=_react,

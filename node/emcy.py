@@ -19,8 +19,7 @@ import numpy as np
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import slots
-from coulombus.node.constants import EMCY_WAITING, MAX_HISTORY
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import EMCY_WAITING, MAX_HISTORY, NodeRecord
 from coulombus.wire.frame import Queue, push
 
 __all__ = [

@@ -179,7 +179,7 @@ def _edge_place(n: NodeRecord, method: int) -> float:
 
 
 @kernel
-def _look(n: NodeRecord, t_ns: int) -> None:
+def _continue_search(n: NodeRecord, t_ns: int) -> None:
     """Go on with the search after the axis has moved."""
     place = float(n.in_position_counts)
     bits, before = axis402.inputs(n, place), n.homing_inputs
@@ -221,7 +221,7 @@ def actuate(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     if _running(n) and t_ns - n.homing_ns >= _LONGEST_NS:
         _stop(n, t_ns, _FAILED)
     elif _SEARCH <= n.homing <= _INDEX:
-        _look(n, t_ns)
+        _continue_search(n, t_ns)
     position402.control(n, t_ns, elapsed_ns)
     if n.homing == _APPROACH and position402.arrived(n):
         _attain(n, t_ns)

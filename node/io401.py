@@ -26,9 +26,8 @@ from __future__ import annotations
 from coulombus.eds.cia301 import Abort, NmtState
 from coulombus.kernels.decorator import kernel
 from coulombus.node import emcy
-from coulombus.node.constants import INPUTS, OUTPUTS, PORTS
 from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, SdoAbort, Terminal
-from coulombus.node.record import InputOutputFields, NodeRecord
+from coulombus.node.record import INPUTS, OUTPUTS, PORTS, InputOutputFields, NodeRecord
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
 from coulombus.wire.frame import Queue
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from coulombus.eds.description import Description
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
-from coulombus.eds.own_devices import SERVO, VENDOR_ID, told_identity
+from coulombus.eds.own_devices import SERVO, VENDOR_ID, identity_from_1018h
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.io401 import IO401, IO404
@@ -109,7 +109,7 @@ def of_description(description: Description) -> Profile:
     Our own devices have theirs. Otherwise it is the profile of 1000h if the file has its objects, else
     the kind whose objects the file has, else `GENERIC`.
     """
-    ours = of_identity(told_identity(description))
+    ours = of_identity(identity_from_1018h(description))
     if ours is not GENERIC:
         return ours
     device_type = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
@@ -141,8 +141,8 @@ class _AxisObjects(NamedTuple):
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
         return self.objects.number(of_axis(index, self.axis), subindex, fallback)
 
-    def own(self, index: int, subindex: int, fallback: int) -> int:
-        return self.objects.own(index, subindex, fallback)
+    def own_number(self, index: int, subindex: int, fallback: int) -> int:
+        return self.objects.own_number(index, subindex, fallback)
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
         return self.objects.real(of_axis(index, self.axis), subindex, fallback)

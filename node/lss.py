@@ -17,11 +17,11 @@ from collections.abc import Callable, Mapping
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
 from coulombus.node import core
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.record import NodeRecord
 from coulombus.node.sdo_kernels import forget_segments
 from coulombus.node.store import Store
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, data_bytes, data_word, push
 
 __all__ = ["Lss"]
@@ -202,7 +202,7 @@ class Lss:
             raise ValueError("refused in OPERATIONAL")
         self.rate = self.pending_rate
         delay_ns = int.from_bytes(data[1:3], "little") * 1_000_000
-        record["sdo_deadline_ns"][:] = FAR_FUTURE_NS
+        record["sdo_deadline_ns"][:] = NEVER_NS
         forget_segments(self._record, -1)
         end_ns = t_ns + 2 * delay_ns
         record["silent_ns"] = record["emcy_ready_ns"] = end_ns

@@ -2,7 +2,7 @@
 
 The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the
 entries, set the count, create the PDO again. A write outside the procedure is aborted, a write that
-changes nothing is accepted. PDOs beyond `node.constants.MAX_PDOS` of a direction have their objects
+changes nothing is accepted. PDOs beyond `node.record.MAX_PDOS` of a direction have their objects
 but cannot be made valid.
 """
 
@@ -26,10 +26,10 @@ from coulombus.eds.pdo import (
     entry_of,
     fill,
 )
-from coulombus.node.constants import MAX_PDOS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.kinds import PROFILES
 from coulombus.node.profile import Profile, SdoAbort
+from coulombus.node.record import MAX_PDOS
 from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]

@@ -129,7 +129,7 @@ class Objects(Protocol):
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
         """Return an integer object, or `fallback` if the file does not have it."""
 
-    def own(self, index: int, subindex: int, fallback: int) -> int:
+    def own_number(self, index: int, subindex: int, fallback: int) -> int:
         """Return an integer object of 2000h to 5FFFh of our own devices; `fallback` in another vendor's file."""
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
@@ -191,7 +191,7 @@ class Behaviour(NamedTuple):
     connection_lost : (n, t_ns, why) make the output safe after NMT left OPERATIONAL; return 1 to
         report it as a fault
     react : (n, t_ns, cause) make the output safe if a cause of `node.emcy` requires it
-    look : (n, t_ns) update `detected`, the faults that the device detects itself, from its inputs
+    detect : (n, t_ns) update `detected`, the faults that the device detects itself, from its inputs
     supply : (n) -> SUPPLY_...
     next_deadline : (n, t_ns, next_ns) -> the earlier of `next_ns` and the kind's own next deadline
     number : of the kind, as in the record's `kind`; `node.kinds` assigns it
@@ -202,7 +202,7 @@ class Behaviour(NamedTuple):
     apply: Callable[[NodeRecord, int, int, int, Queue], None] = _no_action
     connection_lost: Callable[[NodeRecord, int, int], int] = _no_loss
     react: Callable[[NodeRecord, int, int], None] = _no_reaction
-    look: Callable[[NodeRecord, int], None] = _nothing_at
+    detect: Callable[[NodeRecord, int], None] = _nothing_at
     supply: Callable[[NodeRecord], int] = _no_supply
     next_deadline: Callable[[NodeRecord, int, int], int] = _no_deadline
     number: int = 0

@@ -105,7 +105,7 @@ def inputs(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Check the supply and the device faults; almost always nothing has changed."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
-            kind.look(n, t_ns)
+            kind.detect(n, t_ns)
     present = (n.in_faults | n.detected) << emcy.FIRST_DEVICE_CAUSE
     if present != n.causes & _INPUT_CAUSES or n.in_supply_ok == 0:
         _new_inputs(n, t_ns, present, out)

@@ -1,8 +1,8 @@
-"""Record of a node, shared by its compiled core and its Python services.
+"""Record of a node, shared by its compiled core and its Python services, and its capacities.
 
 `new_nodes` creates the records of several nodes at once; a kernel takes one of them, by reference.
 The record contains the node's PDOs. Everything is int64 or float64; times are int64 nanoseconds; a
-time that never comes is `node.constants.FAR_FUTURE_NS`. The fields of each kind of device are
+time that never comes is `NEVER_NS`. The fields of each kind of device are
 declared in its profile (`node.kinds`), and are in every record.
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.codec import PdoRecord
+from coulombus.eds.sdo_frames import BLOCK_SEGMENTS
 from coulombus.kernels.records import (
     FloatField,
     IntegerField,
@@ -22,23 +23,41 @@ from coulombus.kernels.records import (
     dtype_of,
     new_records,
 )
-from coulombus.node.constants import (
-    BLOCK_SEGMENTS,
-    EMCY_WAITING,
-    FAR_FUTURE_NS,
-    INPUTS,
-    MAX_CONSUMERS,
-    MAX_HISTORY,
-    MAX_PDOS,
-    MAX_SDO_SERVERS,
-    OUTBOX,
-    OUTPUTS,
-    PORTS,
-    SLOTS,
-)
-from coulombus.wire.clock import Clock
+from coulombus.wire.clock import NEVER_NS, Clock
 
-__all__ = ["LOOP_WORDS", "NODE", "BrakeFields", "DriveFields", "InputOutputFields", "NodeRecord", "new_nodes"]
+__all__ = [
+    "EMCY_WAITING",
+    "INPUTS",
+    "LOOP_WORDS",
+    "MAX_CONSUMERS",
+    "MAX_HISTORY",
+    "MAX_PDOS",
+    "MAX_SDO_SERVERS",
+    "NODE",
+    "OUTBOX",
+    "OUTPUTS",
+    "PORTS",
+    "SDO_TIMEOUT_NS",
+    "SLOTS",
+    "SPARE_SLOTS",
+    "BrakeFields",
+    "DriveFields",
+    "InputOutputFields",
+    "NodeRecord",
+    "new_nodes",
+]
+
+SLOTS = 1024
+PORTS, INPUTS, OUTPUTS = 8, 16, 8  # largest number of digital ports per direction, analogue inputs, outputs
+SPARE_SLOTS = 256  # for objects that a PDO maps later, in addition to the EDS's
+MAX_PDOS = 128  # per direction: those of two axes of a drive
+MAX_CONSUMERS = 127  # checked entries of 1016h
+MAX_SDO_SERVERS = 128  # 1200h to 127Fh
+OUTBOX = 1024  # pending segments of block uploads
+MAX_HISTORY = 8  # entries of 1003h
+EMCY_WAITING = 8  # EMCY messages pending until the end of the inhibit time
+SDO_TIMEOUT_NS = 1_000_000_000
+"""An SDO transfer without progress for this time is aborted (0504 0000h)."""
 
 
 class DriveFields(Record):
@@ -190,7 +209,7 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     kind: int  # number of its profile in node.kinds; 0: generic
     nmt: int  # NmtState
     powered: int  # 1: the device is switched on
-    next_ns: int  # time of the next call of on_time; FAR_FUTURE_NS: never
+    next_ns: int  # time of the next call of on_time; NEVER_NS: never
     processing_ns: int  # time from a frame or an event until the answer is ready
     # simulated inputs of every kind (written by sim_bus). After a change of an input set next_ns to the
     # present: both inputs are read on SYNC, on an RPDO and on time
@@ -269,7 +288,7 @@ class NodeRecord(Clock, DriveFields, BrakeFields, InputOutputFields):
     silent_ns: int  # end of silence: until then it neither receives nor sends (LSS: activate bit timing)
     # SDO server: the core aborts a transfer without progress
     sdo_used: int  # 1 + the last valid channel
-    sdo_deadline_ns: Annotated[IntegerField, MAX_SDO_SERVERS]  # deadline of each channel; FAR_FUTURE_NS: no transfer
+    sdo_deadline_ns: Annotated[IntegerField, MAX_SDO_SERVERS]  # deadline of each channel; NEVER_NS: no transfer
     sdo_abort_id: Annotated[IntegerField, MAX_SDO_SERVERS]  # identifier of the abort sent at the deadline
     sdo_abort_word: Annotated[IntegerField, MAX_SDO_SERVERS]  # data of the abort
     # segments of block downloads that the core collects; Python opens and closes a channel's row
@@ -337,12 +356,12 @@ LOOP_WORDS = _loop_words()
 def new_nodes(n: int) -> RecordArray[NodeRecord]:
     """Return the records of `n` nodes that are powered off; their PDOs are not valid."""
     nodes: RecordArray[NodeRecord] = new_records(NodeRecord, n)
-    nodes["next_ns"] = FAR_FUTURE_NS
+    nodes["next_ns"] = NEVER_NS
     nodes["processing_ns"] = 20_000
     nodes["in_supply_ok"] = 1
-    nodes["sdo_deadline_ns"] = FAR_FUTURE_NS
+    nodes["sdo_deadline_ns"] = NEVER_NS
     nodes["time_set_ns"] = -1
-    nodes["outbox_next_ns"] = FAR_FUTURE_NS
+    nodes["outbox_next_ns"] = NEVER_NS
     nodes["station"] = np.arange(n)
     nodes["unit_counts_s"] = 1.0
     nodes["switch_counts"] = -np.inf, np.inf, np.inf, np.inf

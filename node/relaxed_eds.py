@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from coulombus.eds.description import Description, Object, Variable
 from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import defaults, position_scale
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.node import slots402
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, of_identity
@@ -87,7 +87,7 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
         them; 0: unknown
     axis : of a drive of several axes
     """
-    if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
+    if profile is GENERIC or of_identity(identity_from_1018h(description)) is not GENERIC:
         return Opened(description)
     changed: dict[Key, Variable] = {}
     remarks = [*_limits(description, changed)]

@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
-from coulombus.node.constants import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
 from coulombus.node.reactions import measure
-from coulombus.node.record import NodeRecord
+from coulombus.node.record import OUTBOX, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, push
 
 __all__ = ["AHEAD", "POLL_NS", "answer_upload", "collect_segment", "forget_segments", "queue_segments", "send_segments"]
@@ -52,7 +52,7 @@ def _row(n: NodeRecord, key: int) -> int:
 @kernel
 def answer_upload(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> bool:
     """Answer the request if the table has its object; tell whether it was answered."""
-    if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != FAR_FUTURE_NS:
+    if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != NEVER_NS:
         return False
     key = (data >> 8 & 0xFFFF) << 8 | data >> 24 & 0xFF
     row = _row(n, key)
@@ -81,7 +81,7 @@ def collect_segment(n: NodeRecord, t_ns: int, can_id: int, length: int, data: in
         number, deadline_ns = data & 0x7F, n.sdo_deadline_ns[k]
         if number != n.segments_next[k] or number >= n.segments_last[k]:
             return False
-        if deadline_ns == FAR_FUTURE_NS or t_ns > deadline_ns:
+        if deadline_ns == NEVER_NS or t_ns > deadline_ns:
             return False
         n.segments_word[k, n.segments_count[k]] = data
         n.segments_count[k] += 1
@@ -126,7 +126,7 @@ def forget_segments(n: NodeRecord, channel: int) -> None:
             left += 1
     n.outbox_count = left
     if left == 0:
-        n.outbox_next_ns = FAR_FUTURE_NS
+        n.outbox_next_ns = NEVER_NS
 
 
 @kernel
@@ -139,4 +139,4 @@ def send_segments(n: NodeRecord, t_ns: int, out: Queue) -> None:
         n.sdo_deadline_ns[n.outbox_channel[k]] = t_ns + SDO_TIMEOUT_NS
         n.outbox_first = (k + 1) % OUTBOX
         n.outbox_count -= 1
-    n.outbox_next_ns = t_ns + POLL_NS if n.outbox_count > 0 else FAR_FUTURE_NS
+    n.outbox_next_ns = t_ns + POLL_NS if n.outbox_count > 0 else NEVER_NS

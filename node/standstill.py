@@ -155,7 +155,7 @@ class StandstillWatch:
         self._looks = 0
         self._reported: set[str] = set()
 
-    def look(self, n: NodeRecord, objects: Objects, holding_pm: float = 0.0) -> Reason | None:
+    def update(self, n: NodeRecord, objects: Objects, holding_pm: float = 0.0) -> Reason | None:
         """Return a reason to report now."""
         reason = why_still(n, objects, holding_pm)
         if n["power_state"] == PowerState.OPERATION_ENABLED:

@@ -40,8 +40,8 @@ __all__ = [
     "OPTION_CODES",
     "actuate",
     "connection_lost",
+    "detect",
     "fault",
-    "look",
     "new_controlword",
     "new_setpoint",
     "next_deadline",
@@ -140,7 +140,7 @@ def fault(n: NodeRecord, t_ns: int, at_once: int) -> None:
 
 
 @kernel
-def look(n: NodeRecord, t_ns: int) -> None:
+def detect(n: NodeRecord, t_ns: int) -> None:
     """Detect a following error and a blocked motor."""
     n.detected &= ~(_FOLLOWING_LOST | _BLOCKED)
     if n.following_lost:

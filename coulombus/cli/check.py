@@ -132,7 +132,7 @@ class _Findings:
 
     def __init__(self, rig: Rig) -> None:
         from coulombus.eds.drive_axis import axis_of
-        from coulombus.eds.own_devices import is_own, told_identity
+        from coulombus.eds.own_devices import identity_from_1018h, is_own
         from coulombus.host.cycle.controller import Controller
         from coulombus.host.cycle.output_limits import brake_limit
         from coulombus.host.setup.device_plan import device_plans
@@ -173,7 +173,7 @@ class _Findings:
             release_of(
                 axis,
                 brake_limit(axis)[0],
-                axis.brake.ramp_s if is_own("brake", told_identity(axis.description("brake"))) else 0.0,
+                axis.brake.ramp_s if is_own("brake", identity_from_1018h(axis.description("brake"))) else 0.0,
             )
             for axis in rig.axes
         ]

@@ -76,7 +76,7 @@ def explain_bus(
         while not stop.wait(0) and (end is None or time.monotonic() < end):
             client.wait(WAIT_S)
             while received := client.receive():
-                explainer.take(Block.of(received).records)
+                explainer.take(Block.from_frames(received).records)
             now = time.monotonic()
             if now - looked > LOOK_S:
                 looked = now

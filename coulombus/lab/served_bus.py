@@ -16,8 +16,7 @@ from secrets import token_hex
 from typing import TypeVar
 
 from coulombus.eds.cia305 import UNCONFIGURED
-from coulombus.eds.description import Value
-from coulombus.eds.object_name import object_key
+from coulombus.eds.description import Value, object_key
 from coulombus.lab.bus_log import BusLog, inject
 from coulombus.node.device import Device
 from coulombus.node.kinds import named

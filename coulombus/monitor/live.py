@@ -172,7 +172,7 @@ class Live:
 
         They are processed together, on a snapshot or when there are `TOGETHER`.
         """
-        block = received if isinstance(received, Block) else Block.of(received)
+        block = received if isinstance(received, Block) else Block.from_frames(received)
         self._waiting.append(block)
         self._waiting_frames += len(block)
         if self._waiting_frames >= TOGETHER:

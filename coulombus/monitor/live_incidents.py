@@ -112,7 +112,7 @@ class IncidentReader(ViewThread):
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Store frames for the next look."""
-        block = received if isinstance(received, Block) else Block.of(received)
+        block = received if isinstance(received, Block) else Block.from_frames(received)
         with self._lock:
             if self._frames < WAITING and not self.failure:
                 self._waiting.append(block)

@@ -141,10 +141,10 @@ class CoulombusBus(can.BusABC):
         self._refuse_when_shut()
         if self._gone:
             raise can.CanOperationError(f"bus {self._client.address} is gone")
-        if not self._take() and (timeout is None or timeout > 0) and self._readable.poll(timeout, 1):
-            self._take()
+        if not self._receive() and (timeout is None or timeout > 0) and self._readable.poll(timeout, 1):
+            self._receive()
 
-    def _take(self) -> bool:
+    def _receive(self) -> bool:
         """Receive one message; return whether it held frames."""
         try:
             frames = self._client.receive()
@@ -226,7 +226,7 @@ class CoulombusBus(can.BusABC):
         deadline = time.monotonic() + timeout
         while self._client.unanswered and time.monotonic() < deadline:
             if self._client.wait(0.01):
-                self._take()
+                self._receive()
         if self._client.unanswered or self._client.controller is None:
             raise can.CanOperationError(f"bus {self._client.address} does not report its controllers")
         self._off = self._client.controller.state == BUS_OFF

@@ -205,7 +205,7 @@ class Client(OpenBus):
             return []
         frames = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
         if self.hello.flags & Flags.OWN:
-            echoes = self._own(message, flags)
+            echoes = self._echoes(message, flags)
             frames = [Echo(frame) if echo else frame for frame, echo in zip(frames, echoes, strict=True)]
         if any(frame[2] > CAN_LENGTH for frame in frames):
             good = [frame for frame in frames if frame[2] <= CAN_LENGTH]
@@ -238,7 +238,7 @@ class Client(OpenBus):
         self.send(self.hello.pack())
         self.unanswered += 1
 
-    def _own(self, message: memoryview, flags: int) -> Sequence[int]:
+    def _echoes(self, message: memoryview, flags: int) -> Sequence[int]:
         """Return for each frame of a message whether this client sent it."""
         if self.address.kind == "socketcan":
             return (flags & MSG_CONFIRM,)

@@ -71,7 +71,7 @@ class Block:
         return len(self.t_ns)
 
     @classmethod
-    def of(cls, frames: Sequence[Received]) -> Block:
+    def from_frames(cls, frames: Sequence[Received]) -> Block:
         """Return single received frames as a block."""
         t_ns, can_ids, lengths, data = zip(*frames, strict=True) if frames else ((), (), (), ())
         words = np.frombuffer(b"".join(data), "<i8").astype(np.int64)
@@ -83,7 +83,7 @@ class Block:
         if len(blocks) == 1:
             return blocks[0]
         if not blocks:
-            return cls.of(())
+            return cls.from_frames(())
         return cls(
             np.concatenate([block.t_ns for block in blocks]),
             np.concatenate([block.can_ids for block in blocks]),
@@ -135,7 +135,7 @@ class ObjectReader:
 
     def receive(self) -> Block:
         """Return the frames of all pending messages; empty if there is no message."""
-        return Block.of(self._bus.receive())
+        return Block.from_frames(self._bus.receive())
 
 
 class BlockReader:

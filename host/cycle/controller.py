@@ -11,7 +11,7 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PdoRecord
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.brake_model import DEFAULT_LAG_S
 from coulombus.host.cycle.hand_over import set_hand_over
@@ -372,7 +372,7 @@ class Controller:
         for k, (raw, Nm) in enumerate(brake.table):
             c["brake_raw_at"][k], c["brake_Nm_at"][k] = raw, Nm
         c["brake_is_drive"] = bound.get("brake_statusword") is not None
-        c["brake_ramps"] = is_own("brake", told_identity(self.axis.description("brake")))
+        c["brake_ramps"] = is_own("brake", identity_from_1018h(self.axis.description("brake")))
 
     def drive_limit_pm(self) -> int:
         """Return the torque limit for the drive, in per mille of the rated torque.

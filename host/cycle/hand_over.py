@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.host.cycle.brake_model import DEFAULT_LAG_S, rise
 from coulombus.host.cycle.output_limits import brake_bears_motor, law_pushes
 from coulombus.host.cycle.records import ControlRecord, HostRecord, Phase
@@ -37,7 +37,7 @@ def set_hand_over(c: ControlRecord, axis: Axis, mode: str) -> None:
     c["rise_cycles"] = max(1, round(RISE_LAGS * lag_s / period_s))
     fade_s = FADE_S if brake_bears_motor(axis, mode) else axis.limits.safe_ramp_s
     c["fade_cycles"] = max(1, round(fade_s / period_s))
-    c["ends_by_nmt"] = is_own("motor", told_identity(axis.description("motor")))
+    c["ends_by_nmt"] = is_own("motor", identity_from_1018h(axis.description("motor")))
 
 
 def end_together(controls: Sequence[Records]) -> None:

@@ -14,7 +14,7 @@ from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import decode, encode
 from coulombus.eds.dcf_text import configured
 from coulombus.eds.drive_axis import first_axis_object
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.device import KnownDevice, identity_of
@@ -129,7 +129,7 @@ def check_file(device: KnownDevice, description: Description) -> dict[Place, Val
     DeviceMismatch
         (exit status 3) the file is for another device, has no values, or has an unreadable value
     """
-    expected, identity = told_identity(description), identity_of(device.client)
+    expected, identity = identity_from_1018h(description), identity_of(device.client)
     if any(expected) and expected != identity[:2]:
         label = f"{expected[0]:#010x} {expected[1]:#010x}"
         raise DeviceMismatch(

@@ -14,10 +14,10 @@ from typing import Any
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import READ_ONLY, decode, encode, without_fill
 from coulombus.eds.eds_folder import fitting, read_folder
-from coulombus.eds.own_devices import packaged, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, packaged
 from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
 from coulombus.eds.sdo_frames import where
-from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, told_unit
+from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, unit_from_code
 from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
 from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.host.sdo.transfers import MOST_BYTES, Progress
@@ -142,7 +142,7 @@ def describe(
     path = Path(source)
     if not path.is_dir():
         description = read_eds(path)
-        expected = told_identity(description)
+        expected = identity_from_1018h(description)
         if any(expected) and expected != identity[:2]:
             raise DeviceMismatch(f"{label}, and {path} is the file of {expected[0]:#010x} {expected[1]:#010x}")
         return description
@@ -252,7 +252,7 @@ class KnownDevice:
             )
         except SdoAborted:
             return None
-        return told_unit(code, count)
+        return unit_from_code(code, count)
 
     def upload(
         self, variable: Variable, *, most: int = MOST_BYTES, progress: Progress = lambda done, total: None

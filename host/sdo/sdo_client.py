@@ -60,7 +60,7 @@ class BusAnswers:
         """Handle a frame that no transfer waits for; only SDO responses of requested nodes count."""
         node_id = frame.can_id - CobId.SDO_TX
         if node_id in self._nodes and frame.length == MESSAGE_BYTES:
-            self._nodes[node_id].take(frame.data)
+            self._nodes[node_id].add_answer(frame.data)
 
     def listen(self, link: FrameLink, until_ns: int) -> None:
         """Handle all frames until `until_ns`: a second device may answer later."""
@@ -109,7 +109,7 @@ class SdoSession(Generic[T]):
 
     def hear(self, message: bytes) -> None:
         """Handle a message of the server."""
-        if self._answers.take(message):
+        if self._answers.add_answer(message):
             self._go_on(lambda: self._transfer.send(message))
 
     def check_timeout(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import MODE_NAMES, OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.drive_axis import axis_of, first_axis_object, of_axis
-from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
+from coulombus.eds.own_devices import MANUFACTURER, identity_from_1018h, is_own
 from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
 from coulombus.host.cycle.controller import Controller
@@ -100,7 +100,7 @@ class _Planner:
         self.part, self.description = axis.part(node), axis.description(node)
         self.name = axis.prefix + node
         self.who = f"{self.name} (node {self.part.node_id})"
-        self.ours = is_own(node, told_identity(self.description))
+        self.ours = is_own(node, identity_from_1018h(self.description))
         self.problems: list[Problem] = []
         self.questions: list[str] = []
         self.losses: list[str] = []
@@ -238,7 +238,7 @@ class _Planner:
         if not description.has(0x1000, 0):
             text = f", object 1000h:00 is needed to know the device, but {description.path} does not have it"
             self._problem(text, "take the EDS file of this very device", "1000h:00")
-        for subindex, (number, value) in enumerate(zip(told_identity(description), rig_numbers, strict=True), 1):
+        for subindex, (number, value) in enumerate(zip(identity_from_1018h(description), rig_numbers, strict=True), 1):
             what, key = (
                 f"{keys[subindex - 1].replace('_', ' ')} 1018h:{subindex:02X}",
                 f"{self.node}.{keys[subindex - 1]}",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from coulombus.eds.drive_axis import of_axis
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.device_services import is_guarded, life_of
@@ -44,7 +44,7 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
     part, description = axis.part(node), axis.description(node)
     assert isinstance(part, Motor | Brake)
     set_there = {(s.index, s.subindex): s.value for s in settings}
-    ours = is_own(node, told_identity(description))
+    ours = is_own(node, identity_from_1018h(description))
     watches = [*_watches(axis, node, part, set_there)]
     acts = ours or (of_axis(0x6007, drive_axis_of(part)), 0) in set_there
     what, ramp_s = "torque 0, disabled" if acts else "the drive's own reaction", 0.0
@@ -78,7 +78,7 @@ def _watches(
         yield guard_ms * factor / 1e3, "life guarding 100Ch, 100Dh"
     elif (0x1016, 1) in set_there:
         yield part.heartbeat_timeout_s, "heartbeat consumer 1016h:01"
-    own_drive = node == "motor" and is_own(node, told_identity(axis.description(node)))
+    own_drive = node == "motor" and is_own(node, identity_from_1018h(axis.description(node)))
     if own_drive and set_there.get((0x2002, 0)):  # in a third-party drive 2002h has another meaning
         yield part.sync_timeout_s, "SYNC time-out 2002h"
 

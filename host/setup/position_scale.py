@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from coulombus.eds.drive_axis import first_axis_object, of_axis
 from coulombus.eds.drive_scale import SCALE_OBJECTS, PositionScale, defaults, position_scale, resolution
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.host.errors import SdoAborted
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import drive_axis_of
@@ -86,7 +86,7 @@ def believed_scale(axis: Axis, who: str, name: str) -> BelievedScale | None:
     who, name : the drive, as text and by its name in host.accept
     """
     binding = axis.allocation.bound.get("position")
-    if binding is None or binding.node != "motor" or is_own("motor", told_identity(axis.description("motor"))):
+    if binding is None or binding.node != "motor" or is_own("motor", identity_from_1018h(axis.description("motor"))):
         return None
     place = binding.entry.index, binding.entry.subindex
     number = drive_axis_of(axis.motor)

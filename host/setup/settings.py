@@ -17,7 +17,7 @@ from coulombus.eds.cia301 import DATA_TYPES, CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.drive_axis import of_axis
 from coulombus.eds.drive_scale import POLARITY
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.device_services import emcy_default, emcy_identifier, is_guarded, is_mute, life_of
@@ -90,7 +90,7 @@ def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Set
     limit_pm : the drive's torque limit in this mode [per mille of the rated torque]
     """
     part, description = axis.part(node), axis.description(node)
-    ours = is_own(node, told_identity(description))
+    ours = is_own(node, identity_from_1018h(description))
     pdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + node]
     yield from _listed(part, node, "before")
     yield from _unused_pdos(description, pdos, part.node_id)

@@ -137,7 +137,7 @@ class IioBuffer:
             self._fd = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         self._rest, self._scan, self._scan_ns = b"", b"", None
         select.select([self._fd], [], [], wait_s)
-        self._take()
+        self._read_scans()
         if not self._scan:
             raise HardwareError(f"{node}: no scan within {wait_s:g} s; does the trigger run?")
 
@@ -159,7 +159,7 @@ class IioBuffer:
         HardwareError
             the device is gone, or its last scan is too old
         """
-        if self._take() or self._scan_ns is None:
+        if self._read_scans() or self._scan_ns is None:
             self._scan_ns = t_ns
         elif t_ns - self._scan_ns > self.stale_ns:
             raise HardwareError(
@@ -170,7 +170,7 @@ class IioBuffer:
         """Return a channel's count in the newest scan."""
         return self.elements[channel].value(self._scan)
 
-    def _take(self) -> bool:
+    def _read_scans(self) -> bool:
         """Read the available bytes; tell whether a complete scan came."""
         came = False
         with file_errors(str(self.folder)):

@@ -18,8 +18,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, ValidationError
 
-from coulombus.eds.description import Description
-from coulombus.eds.object_name import object_key
+from coulombus.eds.description import Description, object_key
 from coulombus.eds.regular_file import NoRegularFile, read_regular
 from coulombus.node.profile import Key, Profile, Terminal
 from coulombus.rigs.errors import RigError, Source
@@ -32,8 +31,8 @@ __all__ = [
     "IioInput",
     "IioOutput",
     "IoFile",
+    "IoPlan",
     "Line",
-    "Plan",
     "PwmOutput",
     "PythonInput",
     "PythonOutput",
@@ -95,7 +94,7 @@ class _Iio(Section):
     )
 
 
-class _Python(Section):
+class _PythonChannel(Section):
     kind: Literal["python"]
     channel: str = Field(min_length=1, description="its name in what write() gets and read() returns")
 
@@ -115,7 +114,7 @@ class PwmOutput(_Output):
     pwm_period_s: float = Field(ge=1e-7, le=1.0, description="period of the pulses")
 
 
-class PythonOutput(_Output, _Python):
+class PythonOutput(_Output, _PythonChannel):
     """[[output]] of kind "python"."""
 
 
@@ -138,7 +137,7 @@ class CounterInput(_Input):
     channel: str = Field("count0", pattern=r"^count\d+$", description='as "count0"')
 
 
-class PythonInput(_Input, _Python):
+class PythonInput(_Input, _PythonChannel):
     """[[input]] of kind "python"."""
 
 
@@ -183,7 +182,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Plan:
+class IoPlan:
     """An I/O file that fits its device."""
 
     path: str
@@ -197,7 +196,7 @@ class Plan:
         return Path(self.path).parent
 
 
-def read_io_file(path: str | Path, description: Description, profile: Profile) -> Plan:
+def read_io_file(path: str | Path, description: Description, profile: Profile) -> IoPlan:
     """Read an I/O file for a device.
 
     Raises
@@ -223,7 +222,7 @@ def read_io_file(path: str | Path, description: Description, profile: Profile) -
     inputs = tuple(_lines("input", file.inputs, source, description, profile))
     _check(file, source, profile)
     source.raise_all()
-    return Plan(str(path), file, outputs, inputs)
+    return IoPlan(str(path), file, outputs, inputs)
 
 
 def _check(file: IoFile, source: Source, profile: Profile) -> None:

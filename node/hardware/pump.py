@@ -20,12 +20,22 @@ from typing import Protocol
 from coulombus.eds.cia301 import DATA_TYPES, NmtState
 from coulombus.node import emcy
 from coulombus.node.device import Device
-from coulombus.node.hardware import converters
+from coulombus.node.hardware import channels
 from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
-from coulombus.node.hardware.channels import Claim, HardwareError, Input, Output, SafeWrite, finite
-from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
+from coulombus.node.hardware.channels import (
+    Claim,
+    HardwareError,
+    Input,
+    Output,
+    PwmOutput,
+    SafeWrite,
+    counter,
+    find,
+    finite,
+    iio,
+)
 from coulombus.node.hardware.iio_buffer import BufferedInput, IioBuffer, NoBuffer
-from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, Line, Plan
+from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, IoPlan, Line
 from coulombus.node.hardware.io_file import PwmOutput as PwmChannel
 
 __all__ = ["Pump", "Watched"]
@@ -69,12 +79,12 @@ class Pump:
     plan : content of the I/O file
     guard : returns the watchdog for its time, the safe writes of the outputs, and the claims'
         descriptors
-    tell : called with a line for people when the hardware fails, and when it works again
+    report : called with a line for people when the hardware fails, and when it works again
     """
 
-    plan: Plan
+    plan: IoPlan
     guard: Callable[[float, Sequence[SafeWrite], Sequence[int]], Watched]
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
     failure: str = ""
     """Reason why only the safe values are output; empty: no failure."""
     periods: int = 0
@@ -218,7 +228,7 @@ class Pump:
         if is_new:
             self.failure = why
             safe = f"; NOT SAFE: {failure}" if failure else "; the outputs are safe"
-            self.tell(f"{why}{safe}; they stay so until the node is reset")
+            self.report(f"{why}{safe}; they stay so until the node is reset")
 
     def _wait(self, t_ns: int) -> None:
         if t_ns >= self._retry_ns:
@@ -229,7 +239,7 @@ class Pump:
         self.failure = ""
         device.record["in_faults"] &= ~_BIT
         device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
-        self.tell("after the reset all converters answer again")
+        self.report("after the reset all converters answer again")
 
     def _make_safe(self) -> str:
         """Write every safe value, also after failures; return the first failure."""
@@ -267,13 +277,13 @@ class Pump:
         names: dict[str, list[str]] = {}
         for settings in (line.channel for line in self.plan.inputs):
             if isinstance(settings, IioInput) and settings.buffered:
-                names.setdefault(str(find(converters.IIO, settings.device)), []).append(settings.channel)
-        for folder, channels in names.items():
+                names.setdefault(str(find(channels.IIO, settings.device)), []).append(settings.channel)
+        for folder, inputs in names.items():
             stale_ns = round(self.plan.file.loop.watchdog_s * 1e9)
             try:
-                self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(channels), stale_ns)
+                self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(inputs), stale_ns)
             except NoBuffer as error:
-                self.tell(f"{error}; its channels are read one by one")
+                self.report(f"{error}; its channels are read one by one")
 
     def _output(self, line: Line) -> tuple[Output, str]:
         """Return the channel of a line, and the file to claim."""
@@ -291,7 +301,7 @@ class Pump:
         settings = line.channel
         if isinstance(settings, IioInput):
             file = iio(settings.device, settings.channel, scaled=settings.scaled)
-            buffer = self._buffers.get(str(find(converters.IIO, settings.device))) if settings.buffered else None
+            buffer = self._buffers.get(str(find(channels.IIO, settings.device))) if settings.buffered else None
             return file if buffer is None else BufferedInput(buffer, settings.channel, file.scale, file.offset)
         if isinstance(settings, CounterInput):
             return counter(settings.device, settings.channel)

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import RecordArray
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, Delivered, Stage
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL
-from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_ns, first_order, hold, win
+from coulombus.sim_bus.can_bus.records import INTER_FRAME_BITS, NS, STATION_MASK, BusRecord, Delivered, Stage
+from coulombus.sim_bus.can_bus.tx_queue import first_ns, first_order, hold, win
 from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, Records, new_records
 
-__all__ = ["FAR_NS", "INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "start_frame", "start_ns"]
+__all__ = ["INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "start_frame", "start_ns"]
 
 
 def new_bus(*bitrates_bit_s: int) -> RecordArray[BusRecord]:
@@ -30,15 +30,15 @@ def new_bus(*bitrates_bit_s: int) -> RecordArray[BusRecord]:
     bus["bit_rate"] = bitrates_bit_s
     if len(bitrates_bit_s) > 1:
         bus["half"], bus["cut"] = range(len(bitrates_bit_s)), SEVERAL
-    bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
-    bus["noise"]["next_ns"], bus["partial_row"] = FAR_NS, -1
-    bus["stations"]["restart_at_ns"] = FAR_NS
+    bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = NEVER_NS
+    bus["noise"]["next_ns"], bus["partial_row"] = NEVER_NS, -1
+    bus["stations"]["restart_at_ns"] = NEVER_NS
     return bus
 
 
 @inlined
 def start_ns(bus: BusRecord, out: Queue) -> int:
-    """Return when the next pending frame can start, or when a scripted fault needs the bus; `FAR_NS` if
+    """Return when the next pending frame can start, or when a scripted fault needs the bus; `NEVER_NS` if
     neither is pending.
     """
     return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)

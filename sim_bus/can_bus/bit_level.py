@@ -16,7 +16,6 @@ mid-frame.
 from __future__ import annotations
 
 from coulombus.kernels.decorator import kernel
-from coulombus.sim_bus.can_bus.bus_state import NS, Stage
 from coulombus.sim_bus.can_bus.controller_bits import (
     ControllerMode,
     FrameFate,
@@ -28,7 +27,7 @@ from coulombus.sim_bus.can_bus.controller_bits import (
 )
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import noisy_bit
-from coulombus.sim_bus.can_bus.records import ALL, NOBODY, BusRecord, is_meant
+from coulombus.sim_bus.can_bus.records import ALL, NOBODY, NS, BusRecord, Stage, is_meant
 from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
 
 __all__ = ["add_sender", "begin_bits", "run_bits"]

@@ -21,12 +21,12 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import RecordArray
-from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import next_noise, seeded
-from coulombus.sim_bus.can_bus.records import MOST_TOLD, STATION_MASK, STATIONS, BusRecord, FaultRecord
+from coulombus.sim_bus.can_bus.records import MOST_TOLD, STATION_MASK, STATIONS, BusRecord, FaultRecord, Stage
 from coulombus.sim_bus.can_bus.stations import number, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, accept, first_ns, hold, withdraw
+from coulombus.sim_bus.can_bus.tx_queue import accept, first_ns, hold, withdraw
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Queue, Records
 
 __all__ = [
@@ -84,7 +84,7 @@ def _next_ns(bus: BusRecord, out: Queue) -> int:
 @kernel
 def _soonest(bus: RecordArray[BusRecord], out: Queue) -> int:
     """Return the bus with the next event, as `choose` does."""
-    soonest, soonest_ns, starts = 0, FAR_NS, 1
+    soonest, soonest_ns, starts = 0, NEVER_NS, 1
     for k in range(bus.shape[0]):
         t_ns, free = _next_ns(bus[k], out), 1 if bus[k].stage == Stage.FREE else 0
         if t_ns < soonest_ns or (t_ns == soonest_ns and free < starts):
@@ -163,10 +163,10 @@ def split(bus: RecordArray[BusRecord], out: Queue, row: int, t_ns: int) -> Recor
     next_noise(far, t_ns)
     for fault in far.faults:
         if fault.kind == FaultKind.CUT:
-            fault.next_ns = FAR_NS
+            fault.next_ns = NEVER_NS
     fault = near.faults[row]
     near.cut, near.cut_row = APART, row
-    near.mend_ns = fault.next_ns = min(t_ns + int(fault.lasts_ns), FAR_NS)
+    near.mend_ns = fault.next_ns = min(t_ns + int(fault.lasts_ns), NEVER_NS)
     for wire in (near, far):
         plan_alarm(wire, t_ns)
         refresh(wire)

@@ -17,9 +17,8 @@ from enum import IntEnum
 import numpy as np
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, SUSPEND_BITS, ErrorKind
 from coulombus.sim_bus.can_bus.fault_confinement import PASSIVE_LEVEL, count_received, count_sent, raise_rec, raise_tec
-from coulombus.sim_bus.can_bus.records import BusRecord, ControllerRecord
+from coulombus.sim_bus.can_bus.records import INTER_FRAME_BITS, NS, SUSPEND_BITS, BusRecord, ControllerRecord, ErrorKind
 from coulombus.sim_bus.can_bus.stuffing import CRC_BITS, crc_step
 from coulombus.wire.frame import CAN_EFF_FLAG
 
@@ -109,7 +108,7 @@ def _place(c: ControllerRecord) -> int:
 
 
 @kernel
-def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
+def _record_first_error(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
     """Record the first error of this simulation for the clients.
 
     Of several errors in one bit, the transmitter's counts.
@@ -148,7 +147,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
     )
     if kind in (ErrorKind.ACK, ErrorKind.CRC):
         bits = 0
-    _tell(bus, c, station, ERR_BUSERROR | (ERR_ACK if kind == ErrorKind.ACK else ERR_PROT), bits)
+    _record_first_error(bus, c, station, ERR_BUSERROR | (ERR_ACK if kind == ErrorKind.ACK else ERR_PROT), bits)
     if c.frame >= 0:
         bus.tx[c.frame].state = FrameFate.FAILED
         c.frame = -1
@@ -167,7 +166,7 @@ def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt:
 def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     """Apply rules d and e: a dominant bit was driven and a recessive bit seen; another error flag begins."""
     c.errors[ErrorKind.BIT] += 1
-    _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
+    _record_first_error(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
     passive = 1 if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL else 0
     _raise(c, 8)
     c.mode = ControllerMode.FLAG
@@ -179,7 +178,7 @@ def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> Non
 @kernel
 def _overload(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     c.overloads += 1
-    _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
+    _record_first_error(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
     c.mode = ControllerMode.OVERLOAD
     c.count = 0
     c.overload = 1

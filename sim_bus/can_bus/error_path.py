@@ -16,12 +16,19 @@ from coulombus.kernels.by_address import call_part, part_address
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import dtype_of
 from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS, Stage
 from coulombus.sim_bus.can_bus.controller_bits import may_start
 from coulombus.sim_bus.can_bus.fault_confinement import CanState, recover
 from coulombus.sim_bus.can_bus.faults import alarm, strike, strike_nothing
 from coulombus.sim_bus.can_bus.frame_result import end_attempt, lose
-from coulombus.sim_bus.can_bus.records import MAX_SENDERS, STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.records import (
+    INTER_FRAME_BITS,
+    MAX_SENDERS,
+    NS,
+    RUN_BITS,
+    STATION_MASK,
+    BusRecord,
+    Stage,
+)
 from coulombus.sim_bus.can_bus.stations import attach, refresh
 from coulombus.sim_bus.can_bus.tx_queue import (
     HELD_BACK,
@@ -153,11 +160,11 @@ def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
     elif stuck or bus.play.unsettled or bus.noise.next_ns <= now_ns:
         _begin_slow(bus, now_ns)
     else:
-        _only_tell(bus, now_ns)
+        _only_report(bus, now_ns)
 
 
 @kernel
-def _only_tell(bus: BusRecord, now_ns: int) -> None:
+def _only_report(bus: BusRecord, now_ns: int) -> None:
     """Start a state without a sender, to report a controller that has recovered."""
     for k in range(bus.on_count):
         if bus.stations[bus.on[k]].changed:

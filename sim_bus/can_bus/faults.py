@@ -12,21 +12,24 @@ from __future__ import annotations
 from enum import IntEnum
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import INTER_FRAME_BITS, NS, RUN_BITS
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.noise import renew
 from coulombus.sim_bus.can_bus.records import (
+    INTER_FRAME_BITS,
     MAX_FLIPS,
     MOST_TOLD,
     NOBODY,
+    NS,
+    RUN_BITS,
     STATION_MASK,
     BusRecord,
     FaultRecord,
     is_meant,
 )
 from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, first_order, hold
+from coulombus.sim_bus.can_bus.tx_queue import first_order, hold
 from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["NO_FRAME", "FaultKind", "alarm", "fire", "plan_alarm", "strike", "strike_nothing"]
 
@@ -161,11 +164,11 @@ def alarm(bus: BusRecord, now_ns: int) -> None:
             if not _elsewhere(bus, f):
                 _babble(bus, f, row, now_ns)
         elif f.kind == FaultKind.CUT and f.next_ns <= now_ns:
-            f.next_ns = FAR_NS
+            f.next_ns = NEVER_NS
             bus.fault_calls |= 1 << row
         elif (f.kind == FaultKind.NOISE or f.kind == FaultKind.STUCK_DOMINANT) and f.next_ns <= now_ns:
             begins = f.next_ns < f.until_ns
-            f.next_ns = f.until_ns if begins else FAR_NS
+            f.next_ns = f.until_ns if begins else NEVER_NS
             if f.kind == FaultKind.NOISE:
                 f.active = 1 if begins else 0
                 noise = True
@@ -180,7 +183,7 @@ def alarm(bus: BusRecord, now_ns: int) -> None:
 def plan_alarm(bus: BusRecord, now_ns: int) -> None:
     """Set `alarm_ns`, and the time of the wire's next dominant fault."""
     next_ns = bus.free_ns if bus.play.unsettled else bus.noise.next_ns
-    bus.stuck.from_ns = bus.stuck.until_ns = FAR_NS
+    bus.stuck.from_ns = bus.stuck.until_ns = NEVER_NS
     for row in range(bus.fault_count):
         f = bus.faults[row]
         if f.kind == FaultKind.STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck.from_ns:
@@ -192,7 +195,7 @@ def plan_alarm(bus: BusRecord, now_ns: int) -> None:
             next_ns = min(next_ns, f.next_ns)
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
-        if c.state == CanState.BUS_OFF and c.restart_at_ns < FAR_NS:
+        if c.state == CanState.BUS_OFF and c.restart_at_ns < NEVER_NS:
             begin_ns = max(bus.recessive_ns, c.restart_at_ns)
             next_ns = min(next_ns, begin_ns + -(-c.runs_left * RUN_BITS * NS // bus.bit_rate))
     bus.alarm_ns = next_ns

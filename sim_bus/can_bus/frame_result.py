@@ -1,15 +1,32 @@
 """Compiled end of a frame on the detailed path, or of a bit-level simulation.
 
 It writes the reports, and sets the next state of the senders.
+
+The reports are error frames in the format of Linux's CAN drivers (include/uapi/linux/can/error.h).
+The identifier has the classes, the eight bytes have the details.
+
+====== =======================================================================
+byte   content
+====== =======================================================================
+0      bit in which the arbitration was lost: 0 is the start of frame, stuff bits do not count
+1      controller's change of state: warning, passive, active again
+2      type of a protocol error: bit, form, stuff, overload; 80h: on transmission
+3      position in the frame
+4      (transceiver: not used here)
+5      number of the reported station, its low eight bits
+6, 7   transmit and receive error counter of that station
+====== =======================================================================
+
+All classes for which Linux also sends counters carry CAN_ERR_CNT.
+
+    c : the record of a controller
 """
 
 from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.sim_bus.can_bus.bit_level import run_bits
-from coulombus.sim_bus.can_bus.bus_state import NS, SUSPEND_BITS, Delivered, Stage
 from coulombus.sim_bus.can_bus.controller_bits import FrameFate
-from coulombus.sim_bus.can_bus.error_frames import error_frame, lost_frame, state_frame
 from coulombus.sim_bus.can_bus.fault_confinement import (
     PASSIVE_LEVEL,
     CanState,
@@ -18,13 +35,83 @@ from coulombus.sim_bus.can_bus.fault_confinement import (
     count_sent,
 )
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, FaultKind, fire, plan_alarm
-from coulombus.sim_bus.can_bus.records import MOST_ROWS, NOBODY, STATION_MASK, BusRecord, is_meant
+from coulombus.sim_bus.can_bus.records import (
+    MOST_ROWS,
+    NOBODY,
+    NS,
+    STATION_MASK,
+    SUSPEND_BITS,
+    BusRecord,
+    ControllerRecord,
+    Delivered,
+    Stage,
+    is_meant,
+)
 from coulombus.sim_bus.can_bus.stations import number, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, HELD_BACK, WITHDRAWN, first_order, hold, withdraw
+from coulombus.sim_bus.can_bus.tx_queue import HELD_BACK, WITHDRAWN, first_order, hold, withdraw
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.controller_state import Confinement
-from coulombus.wire.frame import Queue
+from coulombus.wire.error_frames import (
+    ACTIVE_AGAIN,
+    BUS_OFF,
+    CONTROLLER,
+    COUNTERS,
+    LOST_ARBITRATION,
+    RESTARTED,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_PASSIVE,
+    TX_WARNING,
+)
+from coulombus.wire.frame import CAN_ERR_FLAG, Queue
 
-__all__ = ["end_attempt", "lose"]
+__all__ = ["end_attempt", "error_frame", "lose", "lost_frame", "state_frame", "with_counters"]
+
+
+@inlined
+def with_counters(word: int, c: ControllerRecord) -> int:
+    """Return the eight bytes with a controller's counters in the last two."""
+    counters = min(c.tec, 255) | min(c.rec, 255) << 8
+    signed: int = (word & 0xFFFF_FFFF_FFFF) | ((counters ^ 0x8000) - 0x8000) << 48
+    return signed
+
+
+@kernel
+def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that reports an error on the bus."""
+    word = kind << 16 | place << 24 | (station & 0xFF) << 40
+    return CAN_ERR_FLAG | COUNTERS | classes, with_counters(word, c)
+
+
+@kernel
+def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that reports a given-up frame to its station: the arbitration
+    was lost in `bit`.
+    """
+    return CAN_ERR_FLAG | COUNTERS | LOST_ARBITRATION, with_counters(bit | (station & 0xFF) << 40, c)
+
+
+@kernel
+def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
+    """Return identifier and bytes of the frame that reports a controller's new state."""
+    classes = COUNTERS
+    how = 0
+    if c.recovered:
+        classes |= RESTARTED
+    if c.state == CanState.BUS_OFF:
+        classes |= BUS_OFF
+    elif c.state == CanState.ERROR_ACTIVE:
+        classes |= CONTROLLER
+        how = ACTIVE_AGAIN
+    else:
+        classes |= CONTROLLER
+        passive = c.state == CanState.ERROR_PASSIVE
+        if c.tec >= c.rec:
+            how |= TX_PASSIVE if passive else TX_WARNING
+        if c.rec >= c.tec:
+            how |= RX_PASSIVE if passive else RX_WARNING
+    return CAN_ERR_FLAG | classes, with_counters(how << 8 | (station & 0xFF) << 40, c)
+
 
 _LAST = MOST_ROWS - 2
 """First row of the reports that is reserved for an error and the frame."""
@@ -64,7 +151,7 @@ def _write(bus: BusRecord, row: int, can_id: int, word: int, source: int) -> Non
 
 
 @kernel
-def _tell_given_up(bus: BusRecord, row: int) -> int:
+def _report_given_up(bus: BusRecord, row: int) -> int:
     """Write the bit in which each one-shot sender lost the arbitration.
 
     Return the next row.
@@ -87,7 +174,7 @@ def _tell_given_up(bus: BusRecord, row: int) -> int:
 
 
 @inlined
-def _tell_states(bus: BusRecord, out: Queue, row: int) -> int:
+def _report_states(bus: BusRecord, out: Queue, row: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
@@ -104,7 +191,7 @@ def _tell_states(bus: BusRecord, out: Queue, row: int) -> int:
         bus.confinements = 1
         c.changed = c.recovered = 0
         if c.state == CanState.BUS_OFF:
-            begin_bus_off(c, bus.end_ns, FAR_NS)
+            begin_bus_off(c, bus.end_ns, NEVER_NS)
             withdraw(bus, out, number(station))
     return row
 
@@ -180,7 +267,7 @@ def _show_sent(bus: BusRecord) -> bool:
 
 
 @kernel
-def _tell_stuck(bus: BusRecord) -> None:
+def _report_stuck(bus: BusRecord) -> None:
     """Count the dominant wire from its begin on, also if it begins in a frame and the bus does not become
     free for `alarm`.
     """
@@ -192,7 +279,7 @@ def _tell_stuck(bus: BusRecord) -> None:
 
 
 @inlined
-def _tell_error(bus: BusRecord, row: int) -> None:
+def _report_error(bus: BusRecord, row: int) -> None:
     """Write the first error of this simulation."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
@@ -229,16 +316,16 @@ def end_attempt(bus: BusRecord, out: Queue) -> int:
         _play_on(bus)
         return 0
     if bus.stuck.from_ns < bus.end_ns:
-        _tell_stuck(bus)
+        _report_stuck(bus)
     row = 0
     slowly = bus.stage >= Stage.PLAYED
     if bus.stage == Stage.WATCHED:
         _settle(bus)
     if slowly and bus.seen.gave_up:
-        row = _tell_given_up(bus, row)
-    row = _tell_states(bus, out, row)
+        row = _report_given_up(bus, row)
+    row = _report_states(bus, out, row)
     if slowly and bus.seen.tell:
-        _tell_error(bus, row)
+        _report_error(bus, row)
         row += 1
     if bus.stage == Stage.WATCHED or (slowly and bus.play.passed and _show_sent(bus)):
         _deliver(bus, row)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.sim_bus.can_bus.bus_state import NS
-from coulombus.sim_bus.can_bus.records import NOBODY, BusRecord
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
+from coulombus.sim_bus.can_bus.records import NOBODY, NS, BusRecord
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["disturber", "next_noise", "noisy_bit", "renew", "seeded"]
 
@@ -26,7 +25,7 @@ def renew(bus: BusRecord, t_ns: int) -> None:
     1 - (1 - r1)(1 - r2)...
     """
     rate = 0.0
-    bus.noise.until_ns = FAR_NS
+    bus.noise.until_ns = NEVER_NS
     for row in range(bus.fault_count):
         f = bus.faults[row]
         if f.active:
@@ -66,7 +65,7 @@ def next_noise(bus: BusRecord, t_ns: int) -> None:
     multiplier 48271: all of it in int64.
     """
     if bus.noise.rate <= 0.0:
-        bus.noise.next_ns = FAR_NS
+        bus.noise.next_ns = NEVER_NS
         return
     bus.noise.state = bus.noise.state * MULTIPLIER % MODULUS
     bits = 0.0
@@ -74,7 +73,7 @@ def next_noise(bus: BusRecord, t_ns: int) -> None:
         bits = min(math.log(bus.noise.state / MODULUS) / math.log1p(-bus.noise.rate), MOST_BITS)
     bus.noise.next_ns = t_ns + int(bits) * NS // bus.bit_rate
     if bus.noise.next_ns >= bus.noise.until_ns:
-        bus.noise.next_ns = FAR_NS
+        bus.noise.next_ns = NEVER_NS
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Records of the virtual CAN bus: the wire, the stations' controllers, faults.
+"""Records of the virtual CAN bus: the wire, the stations' controllers, faults; the states of the bus.
 
 The module named above each part of `BusRecord` writes it. Fields are int64 unless declared
 otherwise; times are in ns.
@@ -6,13 +6,13 @@ otherwise; times are in ns.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
 
 from coulombus.kernels.decorator import inlined
 from coulombus.kernels.records import IntegerField, Record, RecordArray
-from coulombus.sim_bus.can_bus.bus_state import ErrorKind
 from coulombus.wire.frame import Frame
 
 __all__ = [
@@ -20,21 +20,82 @@ __all__ = [
     "CLIENTS",
     "CLIENT_ROWS",
     "FRAME_BITS",
+    "INTER_FRAME_BITS",
     "MAX_FAULTS",
     "MAX_FLIPS",
     "MAX_SENDERS",
     "MOST_ROWS",
     "MOST_TOLD",
     "NOBODY",
+    "NS",
     "ROOM",
+    "RUN_BITS",
     "STATIONS",
     "STATION_MASK",
+    "SUSPEND_BITS",
     "BusRecord",
     "ControllerRecord",
+    "Delivered",
+    "ErrorKind",
     "FaultRecord",
+    "Stage",
     "StuckRecord",
     "is_meant",
 ]
+
+INTER_FRAME_BITS = 3
+"""Length of the intermission."""
+SUSPEND_BITS = 8
+"""Additional waiting time of an error-passive sender."""
+RUN_BITS = 11
+"""Recessive bits at the end of a frame or of an error frame, with the inter-frame space.
+
+Bus-off ends after 128 such runs.
+"""
+NS = 1_000_000_000
+
+
+class Stage(IntEnum):
+    """State of the bus up to `end_ns`.
+
+    ::
+
+        FREE ---> FRAME ------------------------------> FREE     a frame: only its length matters
+        FREE ---> WATCHED ----------------------------> FREE     an undisturbed frame; its end applies rules g and h
+        FREE ---> TELLING ----------------------------> FREE     nobody sends; the recovery of a controller is reported
+        FREE ---> PLAYED ---> TOLD ---> PLAYED ... OVER ---> FREE   bit-level simulation
+
+    `BusRecord.stage` is written at each start (`arbiter.start_frame`, `error_path.attempt`), by
+    `bit_level.run_bits`, and at each end (`BusRecord.end_ns`) by `arbiter.end_frame` or
+    `frame_result.end_attempt`.
+    """
+
+    FREE = 0
+    FRAME = 1
+    WATCHED = 2
+    TELLING = 3
+    PLAYED = 4  # bits are simulated up to `end_ns`, where their events are reported
+    TOLD = 5  # events are reported, the next bits are due
+    OVER = 6  # as PLAYED; after the last bit a station may start to send
+
+
+class Delivered(IntEnum):
+    """Receivers of the frame that has just ended."""
+
+    NOBODY = 0  # not a frame
+    OTHERS = 1  # all except its sender
+    HEARERS = 2  # stations whose controller has `hears`
+
+
+class ErrorKind(IntEnum):
+    """The five errors of the standard (10.11)."""
+
+    BIT = 0
+    STUFF = 1
+    CRC = 2
+    FORM = 3
+    ACK = 4
+
 
 STATIONS = 256
 """Number of rows: a station's row is the low eight bits of its number, so the host's -1 is row 255."""
@@ -233,8 +294,8 @@ class BusRecord(Record):
     """State of the bus."""
 
     bit_rate: int  # bit/s; 0: a frame takes no time here (another bus carries it)
-    stage: int  # state, a `sim_bus.can_bus.bus_state.Stage`
-    delivered: int  # receivers of the last frame, a `sim_bus.can_bus.bus_state.Delivered`
+    stage: int  # state, a `sim_bus.can_bus.records.Stage`
+    delivered: int  # receivers of the last frame, a `sim_bus.can_bus.records.Delivered`
     end_ns: int  # end of the frame on the wire
     free_ns: int  # time from which the bus is free
     t_ns: int  # time of the frame on the wire; fields as in FRAME

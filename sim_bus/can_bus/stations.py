@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.controller_bits import ControllerMode
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import plan_alarm
-from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
+from coulombus.sim_bus.can_bus.records import STATION_MASK, BusRecord, Stage
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["attach", "detach", "number", "refresh", "restart"]
 
@@ -34,7 +33,7 @@ def refresh(bus: BusRecord) -> None:
                 bus.limited = 1
         if c.state != CanState.BUS_OFF and c.listen_only == 0:
             acknowledging += 1
-    if bus.fault_count > 0 or bus.alarm_ns < FAR_NS or (bus.on_count > 0 and acknowledging < 2):
+    if bus.fault_count > 0 or bus.alarm_ns < NEVER_NS or (bus.on_count > 0 and acknowledging < 2):
         bus.alert = 1
 
 

@@ -15,10 +15,10 @@ from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Integers
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Frame, Queue, arbitration_key
 
 __all__ = [
-    "FAR_NS",
     "HELD_BACK",
     "WITHDRAWN",
     "accept",
@@ -32,7 +32,6 @@ __all__ = [
     "withdraw",
 ]
 
-FAR_NS = 1 << 62
 FEW = 4
 """Up to this number of frames, a linear search is faster."""
 SEQUENCE_BITS = 31
@@ -134,9 +133,9 @@ def take_in(bus: BusRecord, out: Queue) -> None:
 @inlined
 def first_ns(bus: BusRecord, out: Queue) -> int:
     """Return the time from which a pending frame is ready: any time up to `free_ns` if one is ready by then,
-    `FAR_NS` if none is pending.
+    `NEVER_NS` if none is pending.
     """
-    t = FAR_NS
+    t = NEVER_NS
     count = out.count
     if bus.held == 0 and count <= FEW and bus.alert == 0:
         for i in range(count):
@@ -163,7 +162,7 @@ def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
     count = out.count
     tie = False
     if bus.held == 0 and count <= FEW:
-        best, best_key = 0, FAR_NS
+        best, best_key = 0, NEVER_NS
         for i in range(count):
             if out.frames[i].t_ns <= now_ns:
                 key = arbitration_key(out.frames[i].can_id)

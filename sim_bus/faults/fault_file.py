@@ -44,7 +44,7 @@ class FaultError(CoulombusError, ValueError):
     exit_status = 3
 
 
-class _File(Strict):
+class _FaultFile(Strict):
     seed: int | None = Field(None, ge=0, lt=2**62)
     fault: list[AnyFault] = Field(default_factory=list)
     controller: list[Controller] = Field(default_factory=list)
@@ -58,7 +58,7 @@ class FaultPlan:
 
     path: str
     text: str
-    file: _File
+    file: _FaultFile
     lines: tuple[int, ...]
     document: Document
     faults: tuple[int, ...]
@@ -140,9 +140,9 @@ def faults_of(text: str, path: str) -> FaultPlan:
     if other := of_another_kind(document.values, "faults"):
         raise FaultError(f"{path}: {other}")
     try:
-        file = TypeAdapter(_File).validate_python(document.values)
+        file = TypeAdapter(_FaultFile).validate_python(document.values)
     except ValidationError as error:
-        raise FaultError("\n".join(mistakes(path, document, error, _File, KINDS))) from None
+        raise FaultError("\n".join(mistakes(path, document, error, _FaultFile, KINDS))) from None
     if len(file.fault) > MAX_FAULTS:
         line = document.line(("fault", MAX_FAULTS))
         raise FaultError(f"{path}:{line}: {len(file.fault)} faults; a file may have {MAX_FAULTS}")

@@ -179,7 +179,7 @@ class Flip(OnFrame):
 
     @field_validator("bit", mode="before")
     @classmethod
-    def _known(cls, bit: Any) -> Any:
+    def _valid_bit(cls, bit: Any) -> Any:
         if bit in BIT_NAMES if isinstance(bit, str) else type(bit) is int and 0 <= bit <= LAST_BIT:
             return bit
         raise ValueError(f"expected 0 (the start of frame) to {LAST_BIT}, or {', '.join(BIT_NAMES)}")

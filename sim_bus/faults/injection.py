@@ -11,20 +11,18 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.cable_cut import APART, MENDING, SEVERAL, WHOLE, join, merged_faults, split, wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import NO_FRAME, fire, plan_alarm
 from coulombus.sim_bus.can_bus.noise import renew, seeded
-from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS
+from coulombus.sim_bus.can_bus.records import CLIENT_ROWS, CLIENTS, MAX_FAULTS, STATIONS, ErrorKind, Stage
 from coulombus.sim_bus.can_bus.stations import detach, refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import AnyFault, Drift, NodeFault, OtherNodeId
 from coulombus.sim_bus.faults.rows import Injected, begin_enabled, install, restart_usually, result_of
 from coulombus.sim_bus.network.device_faults import OF_MECHANICS, device_faults_of, inject, renumber
 from coulombus.sim_bus.network.network import TAP
-from coulombus.wire.clock import set_clock
+from coulombus.wire.clock import NEVER_NS, set_clock
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.network import VirtualNetwork
@@ -139,7 +137,7 @@ class Injection:
         """
         (fault,) = plan.file.fault
         self._check(fault, where)
-        self.tell()
+        self.report()
         row = next((row for row, entry in enumerate(self._entries) if entry.ended), len(self._entries))
         if row == MAX_FAULTS:
             raise FaultError(f"{row} faults act already; clear some")
@@ -216,7 +214,7 @@ class Injection:
             f = self._bus.faults[row]
             once = entry.fault.kind == "reset" and entry.fault.on is None and f.fired > 0
             cut = entry.fault.kind == "cut" and (self._bus.cut == WHOLE and f.fired > 0 and not f.framed)
-            timed = entry.fault.kind != "cut" and f.from_ns < FAR_NS and f.until_ns <= self._world.t_ns
+            timed = entry.fault.kind != "cut" and f.from_ns < NEVER_NS and f.until_ns <= self._world.t_ns
             if timed and not entry.ended:
                 self._stop(row)  # its own event may be due at this very time
             entry.ended = entry.ended or once or cut or timed
@@ -233,7 +231,7 @@ class Injection:
             if entry.fault.kind == "cut" and self._bus.cut == APART and self._bus.cut_row == row:
                 f.next_ns = self._bus.mend_ns = now_ns
             else:
-                f.next_ns = FAR_NS
+                f.next_ns = NEVER_NS
             renew(wire, now_ns)
             plan_alarm(wire, now_ns)
             refresh(wire)
@@ -243,7 +241,7 @@ class Injection:
         self._expire()
         if self._bus.cut in (APART, MENDING) or not (self._entries and self._entries[-1].ended):
             return
-        self.tell()  # the strikes of their rows
+        self.report()  # the strikes of their rows
         while self._entries and self._entries[-1].ended:
             self._past.append(self._result(len(self._entries) - 1))
             self._entries.pop()
@@ -327,7 +325,7 @@ class Injection:
         elif near.cut_row == row and now >= near.mend_ns:
             near.cut = MENDING
             if self._world.bus[1].stage == Stage.FREE:
-                self.tell()
+                self.report()
                 join(self._world.bus, out, self._before, now)
                 self._mark(now, f"the cable is repaired ({self._entries[row].place})")
 
@@ -367,7 +365,7 @@ class Injection:
         else:
             set_clock(world.nodes[station], world.t_ns, ppb)
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Report the injections since the last call."""
         halves = self._world.bus.view(np.ndarray)  # a recarray looks each field up in Python
         if self._on_fault is not None:
@@ -376,10 +374,10 @@ class Injection:
             for half, count in enumerate(halves["told"]):
                 strikes += zip(*(column[half, :count].tolist() for column in columns), strict=True)
             for entry in sorted(strikes):
-                self._tell_strike(*entry)
+                self._report_strike(*entry)
         halves["told"] = 0
 
-    def _tell_strike(self, t_ns: int, row: int, can_id: int) -> None:
+    def _report_strike(self, t_ns: int, row: int, can_id: int) -> None:
         what = "" if can_id == NO_FRAME else f" {can_id & 0x1FFFFFFF:X}h"
         if row < len(self._entries):
             entry = self._entries[row]

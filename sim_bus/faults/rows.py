@@ -11,7 +11,6 @@ from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import seeded
 from coulombus.sim_bus.can_bus.records import ALL, CLIENT_ROWS, CLIENTS, STATIONS, BusRecord, FaultRecord
 from coulombus.sim_bus.can_bus.stations import refresh
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS
 from coulombus.sim_bus.faults.fault_file import FaultPlan
 from coulombus.sim_bus.faults.fault_kinds import (
     BASES,
@@ -33,6 +32,7 @@ from coulombus.sim_bus.faults.fault_kinds import (
     SlowSdo,
     Trigger,
 )
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
 __all__ = ["Injected", "begin_enabled", "install", "restart_usually", "result_of"]
@@ -54,7 +54,7 @@ class Injected:
     last_s: float | None
 
 
-class _Nodes:
+class _StationNumbers:
     """Station numbers of the nodes named in a file."""
 
     def __init__(self, plan: FaultPlan, stations: Mapping[str, int], node_ids: Mapping[int, int]) -> None:
@@ -81,7 +81,7 @@ class _Nodes:
         raise self.plan.mistake(key, f"'{name}' has no node id; name the sender with sender = \"{name}\"")
 
 
-def _match(row: FaultRecord, on: Trigger, nodes: _Nodes, key: Key) -> None:
+def _match(row: FaultRecord, on: Trigger, nodes: _StationNumbers, key: Key) -> None:
     flags = (CAN_EFF_FLAG if on.extended else 0) | (CAN_RTR_FLAG if on.remote else 0)
     if on.can_id is not None:
         if on.can_id > 0x7FF:
@@ -110,7 +110,7 @@ def _at_one_time(a: Lasting, b: Lasting) -> bool:
     return first.duration_s is None or round((first.at_s + first.duration_s) * 1e9) > round(second.at_s * 1e9)
 
 
-def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
+def _refuse_twice(plan: FaultPlan, nodes: _StationNumbers) -> None:
     """Refuse duplicates in a file: two settings of a node's controller, or two drifts of a node's clock at
     one time.
     """
@@ -162,7 +162,7 @@ def install(
     FaultError
         a named node is not on this bus, or the file has duplicates
     """
-    nodes = _Nodes(plan, stations, node_ids)
+    nodes = _StationNumbers(plan, stations, node_ids)
     _refuse_twice(plan, nodes)
     places = range(len(plan.file.fault)) if into is None else into
     if into is None or plan.file.seed is not None:
@@ -182,13 +182,13 @@ def install(
             elif duration is not None or into is not None:
                 row.every = 1
         elif isinstance(fault, Cut):
-            row.most, row.lasts_ns = fault.most, FAR_NS if duration is None else round(duration * 1e9)
+            row.most, row.lasts_ns = fault.most, NEVER_NS if duration is None else round(duration * 1e9)
             duration = None
             if fault.on is not None:
                 _match(row, fault.on, nodes, (*key, "on"))
-        length_ns = FAR_NS if duration is None else round(duration * 1e9)
+        length_ns = NEVER_NS if duration is None else round(duration * 1e9)
         if fault.after == "enabled":
-            row.from_ns = row.next_ns = FAR_NS
+            row.from_ns = row.next_ns = NEVER_NS
             row.until_ns = length_ns
             later.append((places[n], round(fault.at_s * 1e9)))
         else:
@@ -228,8 +228,8 @@ def _rows(station: int) -> slice:
 
 def _begin(row: FaultRecord, from_ns: int, length_ns: int) -> None:
     row.from_ns = from_ns
-    row.next_ns = FAR_NS if row.framed else from_ns
-    row.until_ns = min(from_ns + length_ns, FAR_NS)
+    row.next_ns = NEVER_NS if row.framed else from_ns
+    row.until_ns = min(from_ns + length_ns, NEVER_NS)
 
 
 def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> None:
@@ -241,7 +241,7 @@ def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> 
     refresh(bus)
 
 
-def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
+def _what(row: FaultRecord, fault: object, nodes: _StationNumbers, key: Key) -> None:
     """Set the effect and the target of a fault."""
     for name in ("seen_by", "lost_for", "node"):
         if getattr(fault, name, None) is not None:
@@ -286,7 +286,7 @@ def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
         row.period_ns = round(fault.period_us * 1e3)
 
 
-def _behind(node: str | int | None, nodes: _Nodes, key: Key) -> list[str | int]:
+def _behind(node: str | int | None, nodes: _StationNumbers, key: Key) -> list[str | int]:
     """Return a node and those behind it on the cable, in the order of the rig."""
     rows = sorted(row for row in nodes.stations.values() if row >= 0)
     first = nodes.station(node, key)

@@ -9,11 +9,11 @@ import numpy as np
 from coulombus.host.cycle.controllers import unused_law
 from coulombus.host.cycle.records import AxisRecord, LawFunction, PlaneFunctions
 from coulombus.kernels.records import Floats, Integers, RecordArray, new_records, overwrite
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS
 from coulombus.sim_bus.network.deadline_tree import IDENTIFIERS
 from coulombus.sim_bus.network.event_loop import TOLD_FRAMES, HostCycle, World
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.sim_bus.rig.records import NO_HAND, PlantRecord, RigAxis
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import Frame
 
 __all__ = ["AttachedAxes", "with_load", "without_mechanics"]
@@ -62,7 +62,7 @@ def with_load(world: World, row: int, plant: RecordArray[PlantRecord]) -> World:
     overwrite(plants[n:], plant)
     axis, load = axes[n], plants[n]
     axis["motor"] = axis["brake"] = row  # a drive has no brake's output: it stays 0
-    axis["operator_start_ns"], axis["force_end_ns"], axis["steps_per_knot"] = NO_HAND, FAR_NS, FAR_NS
+    axis["operator_start_ns"], axis["force_end_ns"], axis["steps_per_knot"] = NO_HAND, NEVER_NS, NEVER_NS
     load["t_ns"] = int(world.state["t_ns"]) // int(load["step_ns"]) * int(load["step_ns"])
     world.axis_of[row] = n
     world.nodes[row]["load_counts_s2"] = load["motor_Nm_pm"] / load["inertia"] * load["counts_rad"]

@@ -7,7 +7,7 @@ from typing import Any
 import canopen
 
 from coulombus.eds.cia301 import CobId
-from coulombus.sim_bus.network.python_stations import Bus, Heard
+from coulombus.sim_bus.network.python_stations import Heard, StationBus
 from coulombus.wire.frame import CAN_RTR_FLAG
 
 __all__ = ["CanopenNetwork"]
@@ -18,7 +18,7 @@ SDO_ABORT = 0x80
 class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
     """A `canopen` network without threads: its frames go to the virtual bus, and an SDO request lets time pass."""
 
-    def __init__(self, bus: Bus, sdo_timeout_s: float) -> None:
+    def __init__(self, bus: StationBus, sdo_timeout_s: float) -> None:
         super().__init__()
         self._virtual_bus, self._timeout_ns = bus, round(sdo_timeout_s * 1e9)
         self._station = bus.station(on_frame=self._hear)

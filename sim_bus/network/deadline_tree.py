@@ -17,10 +17,9 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.records import Integers, Records
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.core import ROUTE_NONE
 from coulombus.node.record import NodeRecord
-from coulombus.wire.clock import bus_ns
+from coulombus.wire.clock import NEVER_NS, bus_ns
 
 __all__ = ["IDENTIFIERS", "keep_deadline", "look_again", "new_deadlines", "new_wants", "next_device"]
 
@@ -32,7 +31,7 @@ def new_deadlines(devices: int) -> npt.NDArray[np.int64]:
     leaves = 1
     while leaves < devices:
         leaves *= 2
-    return np.full(2 * leaves, FAR_FUTURE_NS, np.int64)
+    return np.full(2 * leaves, NEVER_NS, np.int64)
 
 
 def new_wants(devices: int) -> npt.NDArray[np.int16]:
@@ -43,7 +42,7 @@ def new_wants(devices: int) -> npt.NDArray[np.int16]:
 @inlined
 def keep_deadline(deadlines: Integers, i: int, n: NodeRecord) -> None:
     """Update the tree with the deadline of device `i`, whose record is `n`."""
-    t = n.next_ns if n.powered else FAR_FUTURE_NS
+    t = n.next_ns if n.powered else NEVER_NS
     if n.clock_on != 0:
         t = bus_ns(n, t)
     at = (deadlines.shape[0] >> 1) + i

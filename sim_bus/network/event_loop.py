@@ -33,17 +33,16 @@ from coulombus.kernels.records import Floats, IntegerField, Integers, RecordArra
 from coulombus.node import core, emcy, own_time
 from coulombus.node.record import NodeRecord
 from coulombus.recording.host_telemetry import MOST_FRAMES
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
-from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
+from coulombus.sim_bus.can_bus.arbiter import end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, choose, on_its_bus
 from coulombus.sim_bus.can_bus.error_path import detailed_end, detailed_start
-from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord
+from coulombus.sim_bus.can_bus.records import MOST_ROWS, BusRecord, Delivered, Stage
 from coulombus.sim_bus.network.deadline_tree import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.rig.records import NOT_BEGUN, PlantRecord, RigAxis
-from coulombus.wire.clock import Clock, bus_ns, own_ns, to_bus
+from coulombus.wire.clock import NEVER_NS, Clock, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import BUS_SHIFT, QUEUE_CAPACITY, Frame, Queue
 
 __all__ = [
@@ -195,7 +194,7 @@ def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
 
 
 @inlined
-def _look(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
+def _measure(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Advance the rig of axis `a` to `t_ns` and let its devices measure it."""
     _advance(world, course, a, t_ns)
     _sample(world.plant[a], world.axes[a], world.nodes)
@@ -208,7 +207,7 @@ def _read(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """
     p = world.plant[a]
     random = p.random
-    _look(world, course, a, t_ns)
+    _measure(world, course, a, t_ns)
     p.random = random
 
 
@@ -286,7 +285,7 @@ def refresh(
     w.stale = 0
     look_again(nodes, deadlines, wants)
     w.to_begin = 0
-    w.force_end_ns = FAR_NS
+    w.force_end_ns = NEVER_NS
     for a in range(axes.shape[0]):
         w.to_begin += axes[a].operator_start_ns == NOT_BEGUN
         w.force_end_ns = min(w.force_end_ns, axes[a].force_end_ns)
@@ -295,7 +294,7 @@ def refresh(
 @inlined
 def next_event(w: WorldRecord, b: BusRecord, out: Queue, deadlines: Integers, host: AxisRecords) -> tuple[int, int]:
     """Return the time and the kind of the next event."""
-    t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order at equal times
+    t = b.end_ns if b.stage != Stage.FREE else NEVER_NS  # strict comparisons keep the order at equal times
     what = FRAME_END
     if w.script_ns < t:
         t, what = w.script_ns, SCRIPT
@@ -339,7 +338,7 @@ def run(
         b = cable if cable.cut == 0 else bus[choose(bus, out)]
         if cable.fault_calls != 0:
             for a in range(axes.shape[0]):
-                _look(world, course, a, w.t_ns)
+                _measure(world, course, a, w.t_ns)
             return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
@@ -376,7 +375,7 @@ def run(
             i = next_device(deadlines)
             a = axis_of[i]
             if a >= 0:
-                _look(world, course, a, t)
+                _measure(world, course, a, t)
             own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
@@ -388,7 +387,7 @@ def run(
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC or b.can_id == CobId.NMT:
                 for a in range(axes.shape[0]):
-                    _look(world, course, a, t)
+                    _measure(world, course, a, t)
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
@@ -416,7 +415,7 @@ def run(
             w.heard = world.listening[b.can_id] if plain else w.listen_all
             if w.services != 0 or w.control_plane != 0 or w.heard != 0:
                 for a in range(axes.shape[0]):
-                    _look(world, course, a, t)
+                    _measure(world, course, a, t)
                 return Exit.SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):

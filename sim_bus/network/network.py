@@ -11,7 +11,7 @@ give the same frames to the nanosecond::
     tester = network.station()                            # hears every frame; station({0x585}): only this identifier
     network.power_on()                                    # all devices; they send their boot-ups
     network.wait_ns(10_000_000)
-    assert tester.take(0x705)[0].data == b"\\0"
+    assert tester.read_frames(0x705)[0].data == b"\\0"
 
     tester.send(0x000, bytes((NmtCommand.START, 5)))      # now; at_ns=... for later
     tester.send(0x605, bytes.fromhex("4017100000000000"))
@@ -51,7 +51,7 @@ from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.rigs.arguments import a_number, path_text
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, new_bus
+from coulombus.sim_bus.can_bus.arbiter import new_bus
 from coulombus.sim_bus.can_bus.cable_cut import divide, wire_of
 from coulombus.sim_bus.can_bus.error_path import detailed_address
 from coulombus.sim_bus.can_bus.stations import attach, detach
@@ -72,7 +72,7 @@ from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.system.stop_signals import InterruptsHeld
-from coulombus.wire.clock import own_ns, to_bus
+from coulombus.wire.clock import NEVER_NS, own_ns, to_bus
 from coulombus.wire.frame import (
     Queue,
     Records,
@@ -106,7 +106,7 @@ class FaultSource(Protocol):
     def act(self) -> None:
         """Perform the parts of a fault that the bus cannot."""
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Report the injections since the last call."""
 
     def enabled(self, t_ns: int) -> None:
@@ -161,7 +161,7 @@ class VirtualNetwork:
         self._listening = np.zeros(IDENTIFIERS, np.int8)
         self._world = np.zeros(1, WORLD)  # read often in Python: a recarray looks each field up in Python
         w = self._world[0]
-        w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
+        w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = NEVER_NS, NEVER_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)
         self.axis_of = m.axis_of
         self._attach(m.axes, m.plant)
@@ -343,7 +343,7 @@ class VirtualNetwork:
             self.injection.act()
         elif why == Exit.SCRIPT:
             _, _, action = heapq.heappop(self._script)
-            self._world["script_ns"] = self._script[0][0] if self._script else FAR_NS
+            self._world["script_ns"] = self._script[0][0] if self._script else NEVER_NS
             action(self)
         self._actuate()
 
@@ -391,7 +391,7 @@ class VirtualNetwork:
         count = int(self._world["log_count"][0])
         self._world["log_count"] = 0
         if self.injection is not None:
-            self.injection.tell()
+            self.injection.report()
         self.hand_over(count)
 
     def hand_over(self, count: int) -> None:

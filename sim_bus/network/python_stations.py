@@ -8,7 +8,7 @@ from typing import Protocol
 
 from coulombus.wire.frame import Queue, data_word, push
 
-__all__ = ["Bus", "Heard", "Station"]
+__all__ = ["Heard", "Station", "StationBus"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Heard:
     """Number of the sending station: a device's row, a station's `number`, -1 the host."""
 
 
-class Bus(Protocol):
+class StationBus(Protocol):
     """A station's interface to its network (`sim_bus.network.network.VirtualNetwork`)."""
 
     @property
@@ -48,14 +48,14 @@ class Station:
 
     def __init__(
         self,
-        network: Bus,
+        network: StationBus,
         number: int,
         can_ids: frozenset[int] | None,
         on_frame: Callable[[Heard], None] | None,
     ) -> None:
         self.number, self.can_ids = number, can_ids
         self.heard: list[Heard] = []
-        """Frames heard and not yet taken; stays empty if `on_frame` is given."""
+        """Frames heard and not yet read; stays empty if `on_frame` is given."""
         self._network, self._on_frame = network, on_frame
 
     def send(self, can_id: int, data: bytes = b"", *, at_ns: int | None = None, length: int | None = None) -> None:
@@ -72,7 +72,7 @@ class Station:
         ready = self._network.t_ns if at_ns is None else at_ns
         push(self._network.out, self.number, ready, can_id, size, data_word(bytes(data)))
 
-    def take(self, can_id: int | None = None) -> list[Heard]:
+    def read_frames(self, can_id: int | None = None) -> list[Heard]:
         """Remove the frames heard (with this identifier) from `heard`, and return them."""
         frames = [frame for frame in self.heard if can_id in (None, frame.can_id)]
         self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]

@@ -30,7 +30,7 @@ from coulombus.system.errors import CoulombusError
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
-__all__ = ["Entry", "ScriptError", "faults_of", "read_script", "script_of"]
+__all__ = ["ScriptEntry", "ScriptError", "faults_of", "read_script", "script_of"]
 
 NODES = {"motor": MOTOR, "brake": BRAKE}
 ACTIONS = ("power_off", "power_on", "reset", "fault", "clear")
@@ -47,7 +47,7 @@ class ScriptError(CoulombusError, ValueError):
 
 
 @dataclass(frozen=True)
-class Entry:
+class ScriptEntry:
     """One entry of a script."""
 
     t_ns: int
@@ -79,7 +79,7 @@ def faults_of(node: str) -> tuple[str, ...]:
     return (*FAULTS.get(name, ()), *SILENT.get(name, ()), *OF_A_SCRIPT)
 
 
-def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
+def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[ScriptEntry, ...]:
     """Return the entries of the script `path`.
 
     Parameters
@@ -94,7 +94,7 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
     return script_of(read_text(path, "script", ScriptError), str(path), nodes)
 
 
-def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
+def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[ScriptEntry, ...]:
     """Return the entries of a script's text; errors name it `path`; nodes and errors as of `read_script`."""
     document = read_toml(text)
     if document.problems:
@@ -113,7 +113,7 @@ def script_of(text: str, path: str, nodes: Collection[str] = ()) -> tuple[Entry,
     return tuple(_entry(f"{path}: entry {n} of [[at]]", entry, names) for n, entry in enumerate(entries, 1))
 
 
-def _entry(where: str, entry: Any, names: Sequence[str]) -> Entry:
+def _entry(where: str, entry: Any, names: Sequence[str]) -> ScriptEntry:
     if not isinstance(entry, dict) or not REQUIRED <= set(entry) <= REQUIRED | OPTIONAL:
         raise ScriptError(f"{where}: {entry}; expected the keys t_s, node, action, and perhaps after and fault")
     t_s = entry["t_s"]
@@ -129,7 +129,7 @@ def _entry(where: str, entry: Any, names: Sequence[str]) -> Entry:
         raise ScriptError(f'{where}: fault = {fault!r}; expected with action = "fault" or "clear" only')
     if fault is not None and fault not in faults_of(node):
         raise ScriptError(f'{where}: fault = {fault!r}; expected for node = "{node}": {_either(faults_of(node))}')
-    return Entry(round(t_s * 1e9), node, action, entry.get("after", "start"), fault)
+    return ScriptEntry(round(t_s * 1e9), node, action, entry.get("after", "start"), fault)
 
 
 def _either(allowed: Sequence[str]) -> str:

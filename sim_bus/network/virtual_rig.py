@@ -109,7 +109,7 @@ class VirtualRig(VirtualNetwork):
         axes, plant = new_records(RigAxis, n), new_records(PlantRecord, n)
         self._axes = axes.view(np.ndarray)  # read often in Python: a recarray looks each field up in Python
         self._f_h = np.zeros((n, knots + 1))
-        self._take(rig, plant, seed)
+        self._initialise(rig, plant, seed)
         self._axes["truth_on"] = truth or tip
         self._every = 1 if truth or not tip else int(self._axes["steps_per_knot"][0])
         """Steps of the plant for each stored row of its true course."""
@@ -154,7 +154,7 @@ class VirtualRig(VirtualNetwork):
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         self._couple()
 
-    def _take(self, rig: Rig, plant: RecordArray[PlantRecord], seed: int) -> None:
+    def _initialise(self, rig: Rig, plant: RecordArray[PlantRecord], seed: int) -> None:
         """Initialise `plant` and the hands from `rig`."""
         n = len(rig.axes)
         self.rig = rig
@@ -192,7 +192,7 @@ class VirtualRig(VirtualNetwork):
         self._world["t_ns"] = 0
         self._events = []
         self.controllers.rename(rig)
-        self._take(rig, self.plant, seed)
+        self._initialise(rig, self.plant, seed)
         self._arguments = (*self._arguments[:3], course_of(self.plant), self._arguments[4])
         self._couple()
 

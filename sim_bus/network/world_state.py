@@ -18,11 +18,11 @@ import numpy as np
 
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.kernels.records import Records, copied, overwrite
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.device import DeviceState
 from coulombus.sim_bus.network.event_loop import Exit
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.plant import NOISE_FACTOR, NOISE_MASK, NOISE_SUMMAND
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["WorldState", "adopt", "state_of"]
 
@@ -67,7 +67,7 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
         and not parts.axes["truth_on"].any()
         and not nodes["tpdo_events"].any()
         and not nodes["latched"].any()
-        and (nodes["sdo_deadline_ns"] == FAR_FUTURE_NS).all()
+        and (nodes["sdo_deadline_ns"] == NEVER_NS).all()
         and int(parts.out.count) == 0
         and not (w.tells or w.keep_sent or w.host_on or w.sent_count)
         and w.t_ns < parts.axes["force_end_ns"].min()

@@ -58,7 +58,7 @@ def _keep(plants: RecordArray[PlantRecord], truth: Floats, row: int) -> None:
 
 
 @kernel
-def _tell(plants: RecordArray[PlantRecord]) -> None:
+def _write_joints(plants: RecordArray[PlantRecord]) -> None:
     """Give the arm's state at a step's end to the joints' plants."""
     s = plants[0].plane
     for i in range(2):
@@ -105,7 +105,7 @@ def advance_joints(
             s.level[i] = capacity + p.inherent
             s.push_N[i] = f_h[i, knot] + (f_h[i, knot + 1] - f_h[i, knot]) / per_knot * (within + 0.5)
         step_plane(s)
-        _tell(plants)
+        _write_joints(plants)
         within += 1
         if row >= 0:
             _keep(plants, truth, row + k)

@@ -39,8 +39,7 @@ import math
 from coulombus.kernels.decorator import kernel
 from coulombus.sim_bus.rig.detail import DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import elements_torque, set_elements
-from coulombus.sim_bus.rig.records import BODIES, DetailRecord, PlantRecord
-from coulombus.sim_bus.rig.wave import wave
+from coulombus.sim_bus.rig.records import BODIES, DetailRecord, PlantRecord, wave
 
 __all__ = ["set_bristles", "set_levels"]
 

@@ -30,8 +30,7 @@ from coulombus.sim_bus.rig.plant import (
     motor_target,
     settled,
 )
-from coulombus.sim_bus.rig.records import BODIES, PLANT, PlantRecord
-from coulombus.sim_bus.rig.wave import wave
+from coulombus.sim_bus.rig.records import BODIES, PLANT, PlantRecord, wave
 
 import numba  # isort: skip  (after kernels.decorator, which sets the cache directory)
 

@@ -28,16 +28,16 @@ from coulombus.eds.drive_scale import (
     resolution,
     velocity_unit,
 )
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.kernels.records import Record
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import OUTPUTS
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.io401 import ANALOGUE_OUT
 from coulombus.node.kinds import of_description, on_axis
 from coulombus.node.motion402 import MODES, POSITION_MODES
 from coulombus.node.profile import CoreObject, Key, Profile
+from coulombus.node.record import OUTPUTS
 from coulombus.node.relaxed_eds import Opened, opened
 from coulombus.node.slots import FIRST_FREE
 from coulombus.rigs.axis import Axis
@@ -124,7 +124,7 @@ def _own_scale(axis: Axis) -> _OwnScale:
     it.
     """
     description, number = axis.description("motor"), drive_axis_of(axis.motor)
-    if is_own("motor", told_identity(description)):
+    if is_own("motor", identity_from_1018h(description)):
         return _OwnScale()
     stored, written = defaults(description, number), {(row.index, row.sub): row.value for row in axis.motor.sdo}
 

@@ -125,7 +125,7 @@ class _Way:
         self._number = 0
         self._again_ns = 0
 
-    def take(self, now_ns: int) -> None:
+    def receive(self, now_ns: int) -> None:
         """Receive the available frames."""
         counts = self.counts
         try:
@@ -250,7 +250,7 @@ def _serve(
             pause = min(pause, max(0.0, min(due) / 1e9 - now))
         for fd, _ in poll.poll(pause * 1e3):
             if fd in by_fd:
-                by_fd[fd].take(time.monotonic_ns())
+                by_fd[fd].receive(time.monotonic_ns())
             elif fd in others:
                 with suppress(BusDown):  # as when receiving: it may come up again
                     others[fd].receive()

@@ -31,17 +31,16 @@ from coulombus.kernels.libc import (
 )
 from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.arbiter import receives
-from coulombus.sim_bus.can_bus.bus_state import Stage
 from coulombus.sim_bus.can_bus.cable_cut import divide
-from coulombus.sim_bus.can_bus.error_frames import with_counters
-from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord
+from coulombus.sim_bus.can_bus.frame_result import with_counters
+from coulombus.sim_bus.can_bus.records import ROOM, STATION_MASK, BusRecord, Stage
 from coulombus.sim_bus.can_bus.tx_queue import take_in
 from coulombus.sim_bus.network.event_loop import WorldRecord
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Frame, Queue, push
 from coulombus.wire.recvmsg import Mailbox, receive
 
-__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "take"]
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOTS", "STATION", "Need", "SlotState", "flush", "hand_out", "offer_frames"]
 
 SLOTS = 32
 """Largest number of clients at a time."""
@@ -312,7 +311,7 @@ def _under_way(bus: RecordArray[BusRecord], station: int, out: Queue) -> bool:
 
 
 @kernel
-def take(
+def offer_frames(
     w: WorldRecord, p: PaceRecord, bus: RecordArray[BusRecord], clients: Clients, out: Queue, offset_ns: int, t_ns: int
 ) -> int:
     """Offer each client's next frame to the bus; read its next message after the last one was sent.

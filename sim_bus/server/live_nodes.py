@@ -17,7 +17,7 @@ from typing import Literal
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia305 import UNCONFIGURED
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
@@ -115,7 +115,7 @@ class LiveNodes:
         self._watches = [StandstillWatch() for _ in ids]
         if self.io is not None:
             plan = read_io_file(self.io, self.descriptions[0], self.kinds[0])
-            self.pump = Pump(plan, Guard, self._tell_hardware)
+            self.pump = Pump(plan, Guard, self._report_hardware)
         make_store = Store if self.store is None else partial(FileStore, self.store)
         for device in self._devices(
             VirtualNetwork(capacity=len(ids)), make_store, tell=False
@@ -130,7 +130,7 @@ class LiveNodes:
             if self.kind == "auto":
                 profile = of_description(description)
             else:
-                profile = of_identity(told_identity(description)) if self.kind is None else self.kind
+                profile = of_identity(identity_from_1018h(description)) if self.kind is None else self.kind
             reading = completed(description, profile)
             remarks = reading.remarks
             if self.kind == "auto":
@@ -239,9 +239,9 @@ class LiveNodes:
         for row, device in enumerate(network.devices):
             if network.axis_of[row] >= 0:
                 plant = network.plant[int(network.axis_of[row])]
-                reason = self._watches[row].look(device.record, device.dictionary, holding_pm(plant))
+                reason = self._watches[row].update(device.record, device.dictionary, holding_pm(plant))
                 if reason is not None:
-                    self._tell_standstill(device, row, reason)
+                    self._report_standstill(device, row, reason)
         self._again(network, LOOK_NS, self._watch)
 
     def _again(self, network: VirtualNetwork, period_ns: int, action: Callable[[VirtualNetwork], None]) -> int:
@@ -251,7 +251,7 @@ class LiveNodes:
         network.at(network.t_ns + (late + 1) * period_ns, action)
         return late
 
-    def _tell_standstill(self, device: Device, row: int, reason: Reason) -> None:
+    def _report_standstill(self, device: Device, row: int, reason: Reason) -> None:
         if self.as_json:
             line = {"event": "standstill", "node_id": device.node_id, "reason": reason.name, "text": reason.text}
             with printed():
@@ -265,7 +265,7 @@ class LiveNodes:
         pump.period(network.t_ns)
         pump.skipped += self._again(network, pump.period_ns, self._pump)
 
-    def _tell_hardware(self, text: str) -> None:
+    def _report_hardware(self, text: str) -> None:
         if self.as_json:
             assert self.pump is not None
             line = {"event": "hardware", "ok": not self.pump.failure, "text": text}
@@ -277,9 +277,9 @@ class LiveNodes:
         """Report the first boot-up of a node, and another node with the same id."""
         if frame.source == row:
             if frame.can_id == CobId.HEARTBEAT + device.node_id:
-                self._tell("ready", device, row, frame)
+                self._report("ready", device, row, frame)
         else:
-            self._tell("duplicate", device, row, frame)
+            self._report("duplicate", device, row, frame)
 
     def _check_kind(self, device: Device) -> None:
         """Refuse a selected kind if the file lacks its required objects."""
@@ -293,7 +293,7 @@ class LiveNodes:
             where, name = device.description.path, profile.name
             raise NodeError(f"{where}: got no {', '.join(names)}, which kind {name} acts on; take --kind generic")
 
-    def _tell(self, event: str, device: Device, row: int, frame: Heard) -> None:
+    def _report(self, event: str, device: Device, row: int, frame: Heard) -> None:
         if (event, row) in self.told or self.server is None:
             return
         self.told.add((event, row))
@@ -342,7 +342,7 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
         nodes.begin(server)
         return server
 
-    def tell_bus(server: BusServer, as_json: bool) -> None:
+    def report_bus(server: BusServer, as_json: bool) -> None:
         for right in server.real_time.refused:
             say(f"coulombus: {right}")
         for (path, _), node_id in zip(nodes.eds, nodes.node_ids, strict=True):
@@ -362,7 +362,7 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
         if pump is not None:
             pump.open()
         priority = None if pump is None else PRIORITY
-        run_sim(make, seconds, priority=priority, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)
+        run_sim(make, seconds, priority=priority, cpu=None, as_json=nodes.as_json, report_ready=report_bus)
     finally:
         if pump is not None:
             pump.close()

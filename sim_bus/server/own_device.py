@@ -30,8 +30,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from coulombus.eds.description import Value
-from coulombus.eds.object_name import object_key
+from coulombus.eds.description import Value, object_key
 from coulombus.node import device as node_device
 from coulombus.node.profile import Key
 from coulombus.rigs.arguments import a_number, path_text

@@ -34,12 +34,12 @@ import numpy.typing as npt
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
 from coulombus.kernels.records import Integers, Records
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.record import LOOP_WORDS, NODE
 from coulombus.sim_bus.network.event_loop import Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.records import JOBS, BesideRecord, PaceRecord
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import new_records, push
 
 __all__ = ["FRAME", "RECORD", "Beside", "Worker", "drain_jobs", "drained", "enqueue", "take_results"]
@@ -170,7 +170,7 @@ def _begin(beside: Beside, world: World) -> None:
         now.row[k] = i
         for r in range(beside.loop_words.shape[0]):
             _copy(beside.python_nodes[i], beside.nodes[i], beside.loop_words[r, 0], beside.loop_words[r, 1])
-        world.nodes[i].outbox_next_ns = FAR_FUTURE_NS
+        world.nodes[i].outbox_next_ns = NEVER_NS
     j.turn = JobState.PYTHON
     beside.words[0] = 1
     write(j.python, beside.words.ctypes.data, 8)

@@ -38,7 +38,7 @@ from coulombus.kernels.records import Integers, RecordArray
 from coulombus.sim_bus.can_bus.cable_cut import choose
 from coulombus.sim_bus.network.event_loop import Exit, HostCycle, World, next_event, refresh, run
 from coulombus.sim_bus.rig.plant_step import CourseFunction
-from coulombus.sim_bus.server.clients import Clients, SlotState, flush, hand_out, take
+from coulombus.sim_bus.server.clients import Clients, SlotState, flush, hand_out, offer_frames
 from coulombus.sim_bus.server.python_worker import FRAME, RECORD, Beside, drained, enqueue, take_results
 from coulombus.sim_bus.server.records import PaceRecord, SlotRecord
 
@@ -156,7 +156,7 @@ def serve(
         take_results(beside, world, course, p)
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
-        need = take(w, p, bus, clients, out, offset_ns, t_ns)
+        need = offer_frames(w, p, bus, clients, out, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
             t_ns -= _discount_stall(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
@@ -204,7 +204,7 @@ def serve(
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
                 return why
-            need = take(w, p, bus, clients, out, offset_ns, t_ns)
+            need = offer_frames(w, p, bus, clients, out, offset_ns, t_ns)
             if need != 0:
                 break
         for i in range(slots.shape[0]):

@@ -25,7 +25,7 @@ from coulombus.wire.address import BusAddress
 from coulombus.wire.frame import Records, push
 
 if TYPE_CHECKING:
-    from coulombus.sim_bus.network.script import Entry
+    from coulombus.sim_bus.network.script import ScriptEntry
 
 __all__ = ["PacedRig", "SimServer"]
 
@@ -109,7 +109,7 @@ class SimServer(BusServer):
         *,
         mode: str = "hybrid",
         seed: int = 0,
-        script: Sequence[Entry] = (),
+        script: Sequence[ScriptEntry] = (),
         unpaced: bool = False,
         record: Path | None = None,
         faults: FaultPlan | None = None,

@@ -29,7 +29,7 @@ def run_sim(
     priority: int | None,
     cpu: int | None,
     as_json: bool,
-    tell_ready: Callable[[BusServer, bool], None] | None = None,
+    report_ready: Callable[[BusServer, bool], None] | None = None,
 ) -> None:
     """Serve until the time is over, or a signal of `system.stop_signals`.
 
@@ -38,7 +38,7 @@ def run_sim(
     A compiled loop does not notice a signal, so it runs in its own thread and the main thread's
     handlers stop it. Until `make` has created the server (the first compilation takes half a
     minute) a signal ends the process at once, with the signal's status: the interrupted code might
-    swallow an exception, and there is nothing to clean up yet. `tell_ready` is called before the
+    swallow an exception, and there is nothing to clean up yet. `report_ready` is called before the
     nodes are switched on; by default it reports the bus.
     """
     live_servers: list[BusServer] = []
@@ -48,7 +48,7 @@ def run_sim(
 
     def ready() -> None:
         with printed():  # the bus is ready, even if nobody reads this
-            (tell_ready or _tell_ready)(server, as_json)
+            (report_ready or _report_ready)(server, as_json)
         notifier.tell(READY=1, STATUS=f"bus {server.name}")
 
     def course() -> None:
@@ -81,10 +81,10 @@ def run_sim(
     if failure:
         raise failure[0]
     with verdict(server.result.exit_status):
-        _tell_end(server.result, as_json)
+        _report_end(server.result, as_json)
 
 
-def _tell_ready(server: BusServer, as_json: bool) -> None:
+def _report_ready(server: BusServer, as_json: bool) -> None:
     for right in server.real_time.refused:
         say(f"coulombus: {right}")
     for text in server.world.opened:
@@ -98,7 +98,7 @@ def _tell_ready(server: BusServer, as_json: bool) -> None:
         show(f"bus {server.name} is ready{rate}; Ctrl-C ends it")
 
 
-def _tell_end(result: SimResult, as_json: bool) -> None:
+def _report_end(result: SimResult, as_json: bool) -> None:
     for loser in result.losers:
         text = "a client (process {pid}) did not read fast enough: {lost} frames lost to it, {delivered} delivered"
         say("coulombus: " + text.format(**loser))

@@ -13,7 +13,7 @@ VALUE, OTHER, REFUSED = b"\x01\0\0\0", b"\x02\0\0\0", b"\0\0\x02\x06"
 def upload(answers, index, *messages):
     """Ask for an object; return which of the answers go on with the transfer."""
     answers.ask(head(0x40, index, 0))
-    return [answers.take(message) for message in messages]
+    return [answers.add_answer(message) for message in messages]
 
 
 def test_the_same_frame_directly_behind_is_passed_over_and_no_second_device():
@@ -34,15 +34,15 @@ def test_an_object_that_is_read_again_has_the_same_answer_again():
 def test_acknowledgements_of_blocks_may_be_alike_where_a_block_was_sent_between():
     answers, acknowledged = SdoAnswers(), b"\xa2\x03\x03" + bytes(5)
     answers.ask(head(0xC6, 0x2004, 0, VALUE))
-    assert answers.take(head(0xA4, 0x2004, 0, b"\x03"))
+    assert answers.add_answer(head(0xA4, 0x2004, 0, b"\x03"))
     for _ in range(3):
         answers.sent()
-    assert [answers.take(acknowledged), answers.take(acknowledged)] == [True, False]
+    assert [answers.add_answer(acknowledged), answers.add_answer(acknowledged)] == [True, False]
     answers.sent()
-    assert not answers.take(acknowledged)  # one segment was sent, three are acknowledged
+    assert not answers.add_answer(acknowledged)  # one segment was sent, three are acknowledged
     answers.sent()
     answers.sent()
-    assert answers.take(acknowledged)
+    assert answers.add_answer(acknowledged)
 
 
 def test_a_different_answer_to_one_request_is_a_second_device():
@@ -76,10 +76,10 @@ def test_a_request_delivered_twice_may_have_two_answers():
     answers = SdoAnswers()
     upload(answers, 0x6064, head(0x43, 0x6064, 0, VALUE), head(0x43, 0x6064, 0, OTHER))
     answers.ask(head(0x2B, 0x1400, 1, VALUE))
-    assert answers.take(head(0x60, 0x1400, 1))
+    assert answers.add_answer(head(0x60, 0x1400, 1))
     answers.ask(head(0x40, 0x1017, 0))
-    assert not answers.take(head(0x80, 0x1400, 1, REFUSED))
-    assert answers.take(head(0x4B, 0x1017, 0, VALUE))
+    assert not answers.add_answer(head(0x80, 0x1400, 1, REFUSED))
+    assert answers.add_answer(head(0x4B, 0x1017, 0, VALUE))
     assert not answers.duplicate_node_id
 
 

@@ -12,7 +12,7 @@ from coulombus.host.sdo.sdo_client import SdoClient
 from coulombus.lab.set_up import set_up
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import load_rig, load_rig_text
-from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_script
+from coulombus.sim_bus.network.script import FAULTS, ScriptEntry, ScriptError, read_script
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from eds_edit import SENSOR
 from node_bench import EDS
@@ -81,7 +81,12 @@ def test_the_table(node, fault, code, register, state, output, reset):
     assert (motor.out_torque_pm, brake.out_brake_Nm) == (90, pytest.approx(3.0))
     assert master.emcy(node) == []
     begin = world.t_ns + 5 * MS + 300_000
-    world.plan([Entry(begin, node, "fault", "start", fault), Entry(begin + 400 * MS, node, "clear", "start", fault)])
+    world.plan(
+        [
+            ScriptEntry(begin, node, "fault", "start", fault),
+            ScriptEntry(begin + 400 * MS, node, "clear", "start", fault),
+        ]
+    )
     master.cycle(5)
     assert (motor.out_torque_pm, brake.out_brake_Nm) == (90, pytest.approx(3.0))  # not before its time
     outputs = []
@@ -184,8 +189,8 @@ def test_scripts_with_faults_are_read(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text(SCRIPT)
     assert read_script(path) == (
-        Entry(250 * MS, "brake", "fault", "enabled", "coil_open"),
-        Entry(1000 * MS, "brake", "clear", "start", None),
+        ScriptEntry(250 * MS, "brake", "fault", "enabled", "coil_open"),
+        ScriptEntry(1000 * MS, "brake", "clear", "start", None),
     )
 
 
@@ -240,7 +245,7 @@ def test_a_script_in_which_nothing_stands_is_refused(tmp_path, text):
 
 
 def test_the_same_script_gives_the_same_bytes_and_the_host_trips(tmp_path):
-    script = (Entry(500 * MS, "motor", "fault", "enabled", "encoder_lost"),)
+    script = (ScriptEntry(500 * MS, "motor", "fault", "enabled", "encoder_lost"),)
     runs = []
     for name in ("a", "b"):
         record = tmp_path / f"{name}.pcapng"

@@ -12,8 +12,8 @@ from coulombus.monitor.bus_reader import BusReader
 from coulombus.wire.client import BusDown, BusFull, BusGone
 from coulombus.wire.frame_batches import Block
 
-EMPTY = Block.of(())
-FRAME = Block.of([(1, 0x181, 1, bytes(8))])
+EMPTY = Block.from_frames(())
+FRAME = Block.from_frames([(1, 0x181, 1, bytes(8))])
 
 
 class View:

@@ -39,7 +39,7 @@ def followed(*batches):
     incidents = LiveIncidents(KnownBus(RIG))
     looks = []
     for frames, t_s in batches:
-        incidents.take(Block.of(frames))
+        incidents.take(Block.from_frames(frames))
         looks.append(incidents.look(T0 + round(t_s * S)))
     return looks
 

@@ -60,7 +60,7 @@ def test_what_was_not_seen_is_blank_and_the_newest_is_at_the_right() -> None:
 def frames(positions: list[int], step_ns: int) -> Block:
     """Return TPDO1s of the bench's motor, the last of them at NOW."""
     first = NOW - (len(positions) - 1) * step_ns
-    return Block.of(
+    return Block.from_frames(
         [(first + k * step_ns, 0x181, 8, struct.pack("<Hih", 0x0237, counts, 0)) for k, counts in enumerate(positions)]
     )
 
@@ -70,7 +70,9 @@ def test_the_envelope_has_what_came_in_the_last_ten_seconds() -> None:
     traces = Traces(rig, [NAME])
     scale = next(s.scale for pdo in rig.pdos() for s in pdo.signals if s.name == NAME)
     traces.take(frames([100, -50, 7], BIN_NS // 4))
-    traces.take(Block.of([(NOW, 0x181, 3, bytes(8)), (NOW, 0x999, 8, bytes(8))]))  # of another length, another frame
+    traces.take(
+        Block.from_frames([(NOW, 0x181, 3, bytes(8)), (NOW, 0x999, 8, bytes(8))])
+    )  # of another length, another frame
     (trace,) = traces.look(NOW)
     assert len(trace.low) == ENVELOPE_BINS
     assert trace.unit == "rad"

@@ -10,9 +10,9 @@ import pytest
 
 from coulombus.node import brake404, coil404, emcy, slots, slots404
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 
 KIND_BRAKE = number(BRAKE404)
 
@@ -125,13 +125,13 @@ def test_a_setpoint_whose_age_is_not_watched_stays(name):
         n.values[slots404.FAULT_MODE] = int(name[-1])
     assert output(n, T + 10**12) == 2.0
     assert n.ramping == ACTS
-    assert brake404.next_deadline(n, T, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert brake404.next_deadline(n, T, NEVER_NS) == NEVER_NS
 
 
 def test_an_age_of_a_microsecond_is_watched():
     n = brake()
     n.values[slots.SETPOINT_AGE_US] = 1
-    assert brake404.next_deadline(n, T, FAR_FUTURE_NS) == T + 1000
+    assert brake404.next_deadline(n, T, NEVER_NS) == T + 1000
     output(n, T + 1000)
     assert n.ramping == ON_THE_WAY
 
@@ -283,32 +283,32 @@ def test_a_coil_that_draws_less_than_a_quarter_is_suspected(sign, measured, torq
     """Not below the least current."""
     n = coil(sign * measured)
     n.out_brake_Nm = torque
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert (n.open_since_ns, n.detected) == (since, 0)
 
 
 def test_an_open_coil_is_found_after_its_time_and_not_before():
     n = coil(0.0)
     for elapsed, found in ((0, 0), (1, 0), (99, 0), (100, OPEN)):
-        coil404.look(n, T + elapsed)
+        coil404.detect(n, T + elapsed)
         assert (n.detected, n.open_since_ns) == (found, T)
     n = coil(0.0)
-    coil404.look(n, T)
+    coil404.detect(n, T)
     n.in_coil_A = 0.5
-    coil404.look(n, T + 99)
+    coil404.detect(n, T + 99)
     assert n.open_since_ns == -1
     n.in_coil_A = 0.0
-    coil404.look(n, T + 150)
+    coil404.detect(n, T + 150)
     assert (n.detected, n.open_since_ns) == (0, T + 150)
 
 
 def test_a_coil_that_is_suspected_since_time_0_is_found_too():
     n = coil(0.0)
-    coil404.look(n, 0)
+    coil404.detect(n, 0)
     assert n.open_since_ns == 0
-    coil404.look(n, 50)
+    coil404.detect(n, 50)
     assert n.open_since_ns == 0
-    coil404.look(n, 100)
+    coil404.detect(n, 100)
     assert n.detected == OPEN
 
 
@@ -316,10 +316,10 @@ def test_a_coil_that_is_suspected_since_time_0_is_found_too():
 def test_more_than_the_short_circuits_current_is_one(sign):
     n = coil(sign * 3.0)
     n.derated = 1  # so that it is looked into
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == 0
     n.in_coil_A = sign * 3.0078125
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == SHORT
 
 
@@ -331,7 +331,7 @@ def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, t
     n = coil(0.0)
     n.detected, n.ramping, n.out_brake_Nm, n.values[slots404.SETPOINT] = fault | TEMPERATURE, ramping, torque, raw
     n.open_since_ns, n.in_coil_degC = T - 1000, 90.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     over = ramping != ACTS and torque == 0.0 and raw <= 0
     assert n.detected == (TEMPERATURE if over else fault | TEMPERATURE)
     assert n.open_since_ns == (-1 if over else T - 1000)
@@ -347,7 +347,7 @@ def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, t
 def test_over_temperature_has_a_hysteresis(degC, before, detected):
     n = coil(0.5, degC)
     n.detected = before | 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.detected == detected | 1
 
 
@@ -357,7 +357,7 @@ def test_over_temperature_has_a_hysteresis(degC, before, detected):
 def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, derated):
     n = coil(0.5, degC)
     n.derated = 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert (n.limit_Nm, n.derated) == (share * 2.0 / A_NM, derated)
 
 
@@ -374,17 +374,17 @@ def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, de
 def test_the_hardware_s_own_limit_holds_beside_the_coil_s(degC, board_Nm, limit_Nm):
     n = coil(0.5, degC)
     n.derated, n.coil_A_Nm, n.board_Nm = 1, 0.25, board_Nm
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == limit_Nm
 
 
 def test_a_line_of_no_length_falls_at_once_and_an_unknown_coil_has_no_limit():
     n = coil(0.5, 96.0)
     n.warm_degC, n.hot_degC, n.derated = 95.9, 95.95, 1
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == pytest.approx((1.0 - 0.5 * 0.5) * 2.0 / A_NM)
     n.coil_A_Nm = 0.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == math.inf
 
 
@@ -393,9 +393,9 @@ def test_a_coil_in_order_is_not_looked_into(odd):
     """The limit is computed when there is a reason to."""
     n = coil()
     n.limit_Nm = -1.0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     n.in_coil_A, n.in_coil_degC = 3.0, 80.0  # at both limits
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm == -1.0
     if odd == "missing":
         n.in_coil_A = 0.0
@@ -409,7 +409,7 @@ def test_a_coil_in_order_is_not_looked_into(odd):
         n.derated = 1
     else:
         n.open_since_ns = 0
-    coil404.look(n, T)
+    coil404.detect(n, T)
     assert n.limit_Nm > 0.0
 
 
@@ -453,17 +453,17 @@ def test_no_pulse_without_torque_before_nor_with_a_fault_of_the_device(state):
     n = pulsed(**state)
     coil404.demagnetise(n, T + 1)
     assert (n.out_reverse_A, n.next_ns) == (0.0, T + 10**9)
-    assert coil404.next_deadline(n, T + 1, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert coil404.next_deadline(n, T + 1, NEVER_NS) == NEVER_NS
 
 
 def test_another_cause_does_not_bar_the_pulse():
     n = pulsed(causes=1 << emcy.RPDO_DEADLINE)
     coil404.demagnetise(n, T + 1)
     assert n.out_reverse_A == 0.25
-    assert coil404.next_deadline(n, T + 1, FAR_FUTURE_NS) == T + 60
+    assert coil404.next_deadline(n, T + 1, NEVER_NS) == T + 60
 
 
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 @pytest.mark.parametrize(
     ("t_ns", "due"), [(T - 1, T), (T, T + 60), (T + 59, T + 60), (T + 60, T + 61), (T + 99, T + 100)]
 )
@@ -473,10 +473,10 @@ def test_the_coil_wants_to_be_called_at_the_pulses_edges(before, t_ns, due):
 
 @pytest.mark.parametrize("state", [{"demag_A": 0.0}, {"pulse_due": 0}, {"out_brake_Nm": 0.5}])
 def test_without_a_pulse_the_coil_wants_nothing(state):
-    assert coil404.next_deadline(pulsed(**state), T, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert coil404.next_deadline(pulsed(**state), T, NEVER_NS) == NEVER_NS
 
 
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 @pytest.mark.parametrize(
     ("since", "t_ns", "due"), [(T, T, T + 100), (T, T + 99, T + 100), (T, T + 100, T + 10_000_100), (0, 5, 100)]
 )
@@ -495,7 +495,7 @@ def test_a_suspected_coil_is_looked_at_when_its_time_is_over(before, since, t_ns
         ({"out_brake_Nm": 0.0, "detected": TEMPERATURE}, True),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("before", [T - 500, FAR_FUTURE_NS])
+@pytest.mark.parametrize("before", [T - 500, NEVER_NS])
 def test_without_syncs_the_coil_is_looked_at_every_10_ms(state, looks, before):
     n = coil()
     n.sync_armed = 0

@@ -10,10 +10,10 @@ import pytest
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD
 from coulombus.node import emcy, motion402, slots, slots402, states402
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import new_queue
 
 KIND_DRIVE = number(DRIVE402)
@@ -330,11 +330,11 @@ def test_there_is_no_torque_without_supply_with_an_old_setpoint_nor_halted(sign,
 def test_a_setpoint_is_old_at_its_age(sign, age_us):
     n = drive(OE, sign * 300, SETPOINT_AGE_US=age_us)
     assert torque(n, T + age_us * 1000 - 1) == sign * 300
-    assert states402.next_deadline(n, FAR_FUTURE_NS) == T + age_us * 1000
+    assert states402.next_deadline(n, NEVER_NS) == T + age_us * 1000
     assert states402.next_deadline(n, T + 5) == T + 5
     assert torque(n, T + age_us * 1000) == 0
     assert n.setpoint_stale == 1
-    assert states402.next_deadline(n, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert states402.next_deadline(n, NEVER_NS) == NEVER_NS
 
 
 @pytest.mark.parametrize(("armed", "age_us"), [(0, 3000), (1, 0)])
@@ -342,7 +342,7 @@ def test_an_age_that_is_not_watched_changes_nothing(armed, age_us):
     n = drive(OE, 300, SETPOINT_AGE_US=age_us)
     n.setpoint_armed = armed
     assert torque(n, T + 10**12) == 300
-    assert states402.next_deadline(n, FAR_FUTURE_NS) == FAR_FUTURE_NS
+    assert states402.next_deadline(n, NEVER_NS) == NEVER_NS
 
 
 def test_other_modes_and_ramps_take_the_time_since_they_were_looked_at():
@@ -354,7 +354,7 @@ def test_other_modes_and_ramps_take_the_time_since_they_were_looked_at():
     n = drive(OE, 300)
     n.slowing, n.slowing_to, n.slowing_ns = SLOW, SO, T
     assert torque(n, T + 10**6) == pytest.approx(299.0)
-    assert states402.next_deadline(n, FAR_FUTURE_NS) == motion402.next_deadline(n, FAR_FUTURE_NS) < FAR_FUTURE_NS
+    assert states402.next_deadline(n, NEVER_NS) == motion402.next_deadline(n, NEVER_NS) < NEVER_NS
 
 
 def test_a_new_mode_is_entered_by_a_ramp_to_torque_0():

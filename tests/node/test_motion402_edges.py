@@ -9,10 +9,10 @@ import math
 import pytest
 
 from coulombus.node import motion402, slots, slots402
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 
 KIND_DRIVE = number(DRIVE402)
 SLOTS = vars(slots) | vars(slots402)
@@ -606,22 +606,22 @@ def test_a_ramp_wants_to_be_called_at_its_end(sign, mode, slowing, left, rate, a
     else:
         n.speed_demand = 9999.0
     n.slowing, n.slowing_ns, n.demand_ns = slowing, T - 500 * MS, T
-    assert motion402.next_deadline(n, FAR_FUTURE_NS) == T + after_ms * MS + 1
+    assert motion402.next_deadline(n, NEVER_NS) == T + after_ms * MS + 1
     assert motion402.next_deadline(n, T + 5) == T + 5
     n.slowing_ns = T - 990 * MS  # 2006h ends it sooner
-    assert motion402.next_deadline(n, FAR_FUTURE_NS) == T + min(after_ms * MS + 1, 10 * MS)
+    assert motion402.next_deadline(n, NEVER_NS) == T + min(after_ms * MS + 1, 10 * MS)
 
 
 @pytest.mark.parametrize(("slope", "after_ms"), [(0, 500), (1, 500)])
 def test_a_slope_without_an_end_ends_with_2006h(slope, after_ms):
     n = drive(TORQUE, 900.0, TORQUE_SLOPE=slope)
     n.slowing, n.slowing_ns = SLOW, T - 500 * MS
-    assert motion402.next_deadline(n, FAR_FUTURE_NS) == T + after_ms * MS
+    assert motion402.next_deadline(n, NEVER_NS) == T + after_ms * MS
 
 
 def test_a_slope_of_one_per_mille_a_second_has_an_end():
     n = drive(TORQUE, 8.0, TORQUE_SLOPE=1, SLOW_DOWN_MS=10**6)
     n.slowing, n.slowing_ns = SLOW, T
-    assert motion402.next_deadline(n, FAR_FUTURE_NS) == T + 8000 * MS + 1
+    assert motion402.next_deadline(n, NEVER_NS) == T + 8000 * MS + 1
     n.torque_demand_pm = 800.0
-    assert motion402.next_deadline(n, FAR_FUTURE_NS) == T + 100_000 * MS + 1  # looked at again
+    assert motion402.next_deadline(n, NEVER_NS) == T + 100_000 * MS + 1  # looked at again

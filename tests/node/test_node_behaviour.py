@@ -10,11 +10,11 @@ import pytest
 
 from coulombus.node import emcy, reactions, slots, slots402, slots404
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC, PROFILES, number
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
 from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import new_queue
 
 KIND_BRAKE = number(BRAKE404)
@@ -135,7 +135,7 @@ def test_a_ramp_is_computed_each_millisecond(ramping, next_ns):
 def test_each_kind_tells_its_own_deadline(kind):
     node = Node(kind)
     node.n.values[slots.SETPOINT_AGE_US] = 7
-    assert reactions.next_deadline(node.n, T, FAR_FUTURE_NS) == (FAR_FUTURE_NS if kind == KIND_GENERIC else T + 7000)
+    assert reactions.next_deadline(node.n, T, NEVER_NS) == (NEVER_NS if kind == KIND_GENERIC else T + 7000)
 
 
 @KINDS

@@ -8,10 +8,10 @@ import pytest
 
 from coulombus.node import deadlines, emcy, guarding, slots
 from coulombus.node.brake404 import BRAKE404
-from coulombus.node.constants import FAR_FUTURE_NS
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import new_queue
 
 KIND_BRAKE = number(BRAKE404)
@@ -57,7 +57,7 @@ class Node:
     def hear(self, k, t_ns, length=1, data=5):
         deadlines.heartbeat_received(self.n, k, t_ns, length, data, self.out)
 
-    def deadline(self, before=FAR_FUTURE_NS):
+    def deadline(self, before=NEVER_NS):
         return deadlines.next_deadline(self.n, before)
 
 
@@ -194,7 +194,7 @@ def test_a_heartbeat_of_no_period_is_none(period, sent):
     node.n.heartbeat_ns, node.n.heartbeat_next_ns = period, T - 5
     node.expire()
     assert len(node.sent()) == sent
-    assert node.deadline() == (T + 1 if period == 1 else FAR_FUTURE_NS)
+    assert node.deadline() == (T + 1 if period == 1 else NEVER_NS)
     assert node.deadline(T - 3) == T - 3
 
 
@@ -203,7 +203,7 @@ def test_an_emcy_that_waits_goes_out_when_the_inhibit_time_is_over(waiting):
     node = Node()
     n = node.n
     n.emcy_waiting, n.emcy_word[0], n.emcy_ready_ns = waiting, 0x8130, T
-    assert node.deadline() == (T if waiting else FAR_FUTURE_NS)
+    assert node.deadline() == (T if waiting else NEVER_NS)
     assert node.deadline(T - 3) == T - 3
     node.expire(T - 1)
     assert node.codes() == []
@@ -225,7 +225,7 @@ def test_a_heartbeat_is_lost_at_its_time_and_told_with_its_producer(k, period):
     assert (n.consumer_state[k], n.causes) == (LOST, 1 << emcy.HEARTBEAT)
     ((_, _, _, word),) = node.sent()
     assert (word & 0xFFFF, word >> 24) == (0x8130, 0x7F)
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     assert node.expire(T + 10**9) == 0
     assert node.codes() == []
 
@@ -236,7 +236,7 @@ def test_a_producer_that_waits_or_is_lost_is_not_lost_again(state):
     node.n.consumer_state[0], node.n.consumer_ns[0] = state, 10
     assert node.expire() == 0
     assert node.n.causes == 0
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
 
 
 def test_each_producer_that_is_lost_is_told_of_and_other_latches_stay():
@@ -257,7 +257,7 @@ def test_an_entry_beyond_those_in_use_is_not_watched():
     n.sdo_deadline_ns[2] = T - 1
     assert node.expire() == 0
     assert node.sent() == []
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
 
 
 def test_guarding_is_lost_at_its_time():
@@ -296,7 +296,7 @@ def test_an_rpdo_is_late_at_its_time_and_told_with_its_number(k, cob_id, period)
     assert (n.rpdo_lost[k], n.causes) == (1, 1 << emcy.RPDO_DEADLINE)
     ((_, _, _, word),) = node.sent()
     assert (word & 0xFFFF, word >> 24) == (0x8250, k + 1)
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     n.latched = 0
     node.expire(T + 10**9)
     assert node.codes() == []
@@ -312,7 +312,7 @@ def test_rpdos_and_syncs_are_expected_in_operational_only(nmt, watched):
     else:
         n.sync_armed, n.sync_ns, n.values[slots.SYNC_TIMEOUT_US] = 1, T - 10**8, 20_000
     n.nmt = nmt
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     node.expire()
     assert n.causes == 0
 
@@ -329,7 +329,7 @@ def test_an_rpdo_that_is_not_watched_is_not_late(off):
         p.event_ns = 0
     else:
         n.rpdo_lost[2] = 1
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     node.expire(T + 10**9)
     assert n.causes == 0
 
@@ -349,7 +349,7 @@ def test_sync_is_lost_at_its_time_and_told_once(timeout_us, other):
     assert n.causes == other | 1 << emcy.SYNC_LOST
     ((_, _, _, word),) = node.sent()
     assert (word & 0xFFFF, word >> 24) == (0x8700, 0)
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     n.latched = 0
     node.expire(T + 10**9)
     assert node.codes() == []
@@ -360,7 +360,7 @@ def test_sync_is_not_expected_before_the_first_nor_without_a_time(armed, timeout
     node = Node()
     n = node.n
     n.sync_armed, n.sync_ns, n.values[slots.SYNC_TIMEOUT_US] = armed, T - 10**9, timeout_us
-    assert node.deadline() == FAR_FUTURE_NS
+    assert node.deadline() == NEVER_NS
     node.expire()
     assert n.causes == 0
 
@@ -387,8 +387,8 @@ def test_a_stale_sdo_transfer_is_aborted_at_its_time_unless_stopped(k, nmt):
     assert node.sent() == []
     node.expire()
     assert node.sent() == ([] if nmt == 4 else [(T + 20, 0x589, 8, 0x0504_0000 << 32)])
-    assert n.sdo_deadline_ns[k] == FAR_FUTURE_NS
-    assert node.deadline() == FAR_FUTURE_NS
+    assert n.sdo_deadline_ns[k] == NEVER_NS
+    assert node.deadline() == NEVER_NS
 
 
 # node guarding

@@ -169,7 +169,7 @@ def test_a_device_that_is_off_has_no_reason():
 
 
 def looks(watch, device, count):
-    reasons = [watch.look(device.record, device.dictionary) for _ in range(count)]
+    reasons = [watch.update(device.record, device.dictionary) for _ in range(count)]
     return [None if why is None else why.name for why in reasons]
 
 

@@ -9,7 +9,7 @@ import heapq
 from itertools import count
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import parse_eds
 from coulombus.node import core
 from coulombus.node.device import Device
@@ -54,7 +54,7 @@ class DevicesLink:
         self._from_ns = {}  # the earliest time of the next frame of an identifier
 
     def add(self, description, node_id, kind=None):
-        profile = of_identity(told_identity(description)) if kind is None else kind
+        profile = of_identity(identity_from_1018h(description)) if kind is None else kind
         row = new_nodes(1)
         device = Device(description, node_id, profile, row[0])
         self._rows.append(row)

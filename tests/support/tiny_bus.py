@@ -79,9 +79,9 @@ class TinyBus:
                     client, _ = self._listener.accept()
                     self._selector.register(client, selectors.EVENT_READ)
                 else:
-                    self._take(key.fileobj)
+                    self._receive(key.fileobj)
 
-    def _take(self, client):
+    def _receive(self, client):
         try:
             message = client.recv(1 << 16)
         except ConnectionResetError:  # it went without reading all; what it sent is still here, and then its end

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
-from coulombus.sim_bus.can_bus.bus_state import Delivered, Stage
+from coulombus.sim_bus.can_bus.arbiter import end_frame, new_bus, receives, start_frame, start_ns
 from coulombus.sim_bus.can_bus.error_path import attempt
 from coulombus.sim_bus.can_bus.faults import plan_alarm
 from coulombus.sim_bus.can_bus.frame_result import end_attempt
-from coulombus.sim_bus.can_bus.records import ALL
+from coulombus.sim_bus.can_bus.records import ALL, Delivered, Stage
 from coulombus.sim_bus.can_bus.stations import attach, refresh
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
 
 US = 1_000
@@ -55,7 +55,7 @@ class WireBench:
 
     def fault(self, kind, **values):
         row = self.bus.faults[self.bus.fault_count]
-        row.kind, row.until_ns, row.match_source, row.station, row.nth = int(kind), FAR_NS, ALL, ALL, 1
+        row.kind, row.until_ns, row.match_source, row.station, row.nth = int(kind), NEVER_NS, ALL, ALL, 1
         row.every, row.most = 0, 0
         for name, value in values.items():
             setattr(row, name, value)
@@ -64,7 +64,7 @@ class WireBench:
         plan_alarm(self.bus, 0)
         refresh(self.bus)
 
-    def run(self, until_ns=FAR_NS - 1, rows=1000):
+    def run(self, until_ns=NEVER_NS - 1, rows=1000):
         """Let the wire work until `until_ns`, or until nobody wants it, or for so many rows of the
         log.
         """

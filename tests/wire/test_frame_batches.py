@@ -138,10 +138,12 @@ def test_a_closed_client_raises_what_the_system_says(monkeypatch):
 
 
 def test_rows_are_those_of_an_identifier_in_order():
-    block = Block.of([(5, 7, 1, b"\1" + bytes(7)), (6, 0x80000001, 0, bytes(8)), (7, 7, 2, b"\2" * 2 + bytes(6))])
+    block = Block.from_frames(
+        [(5, 7, 1, b"\1" + bytes(7)), (6, 0x80000001, 0, bytes(8)), (7, 7, 2, b"\2" * 2 + bytes(6))]
+    )
     assert {can_id: rows.tolist() for can_id, rows in block.rows.items()} == {7: [0, 2], 0x80000001: [1]}
     assert block.data(2) == b"\2\2" + bytes(6)
-    assert Block.of([]).rows == {}
+    assert Block.from_frames([]).rows == {}
     assert len(Block.joined([block, block])) == 6
 
 

@@ -86,8 +86,8 @@ def test_what_a_client_sent_that_read_nothing_is_on_the_small_bus():
         with ours:
             ours.send(struct.pack("=IB3x8s", 0x80, 0, b""))
             its.send(bytes(16))
-        bus._take(its)
-        bus._take(its)
+        bus._receive(its)
+        bus._receive(its)
         assert bus.frames == [(0x80, 0, bytes(8))]
 
 

@@ -149,7 +149,7 @@ class LiveCapture:
 
     def take(self, received: Block | Sequence[Received]) -> None:
         """Process the frames of some milliseconds."""
-        block = received if isinstance(received, Block) else Block.of(received)
+        block = received if isinstance(received, Block) else Block.from_frames(received)
         if not len(block):
             return
         self.live.take(block)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from coulombus.eds.drive_axis import of_axis
-from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, is_own
 from coulombus.eds.pdo import Entry
 from coulombus.eds.reader import Description, Variable
 from coulombus.eds.sections import number_of
@@ -46,7 +46,7 @@ class DraftDevice:
     @property
     def is_own(self) -> bool:
         """Whether it is the project's own device."""
-        return is_own(self.node, told_identity(self.description))
+        return is_own(self.node, identity_from_1018h(self.description))
 
     def at(self, index: int) -> int:
         """Return this axis' object for `index` of the first axis."""

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from coulombus.eds.eds_folder import fitting, read_folder
-from coulombus.eds.own_devices import packaged, told_identity
+from coulombus.eds.own_devices import identity_from_1018h, packaged
 from coulombus.eds.reader import Description, read_eds
 from coulombus.rigs.draft.device import DraftDevice, Place
 from coulombus.rigs.errors import RigError
@@ -81,7 +81,7 @@ class _Gathering:
         return os.path.relpath(whole, self.folder)
 
     def _live_id(self, description: Description) -> int:
-        identity = told_identity(description)
+        identity = identity_from_1018h(description)
         return next(
             (node for node, answers in self.left.items() if any(identity) and _identity(answers) == identity), 0
         )

@@ -9,7 +9,7 @@ import pytest
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import decode, encode
 from coulombus.eds.reader import Variable, parse_eds
-from coulombus.eds.units import Unit, fixed_unit, told_unit
+from coulombus.eds.units import Unit, fixed_unit, unit_from_code
 from coulombus.host.devices.device import KnownDevice, ObjectUnknown, ValueRefused, describe
 from coulombus.host.errors import DeviceMismatch
 from coulombus.host.sdo.sdo_client import SdoClient
@@ -244,8 +244,8 @@ def test_what_has_no_fixed_unit(place):
 
 
 def test_units_that_a_device_tells():
-    assert told_unit(0x00560000, 3) == Unit(1e-3, "Nm")
-    assert told_unit(0xFD040000, 0) == Unit(1e-3, "A")
-    assert told_unit(0x00560300, 0) is None  # per second
-    assert told_unit(0x00990000, 0) is None
-    assert told_unit(0x00560000, 200) is None
+    assert unit_from_code(0x00560000, 3) == Unit(1e-3, "Nm")
+    assert unit_from_code(0xFD040000, 0) == Unit(1e-3, "A")
+    assert unit_from_code(0x00560300, 0) is None  # per second
+    assert unit_from_code(0x00990000, 0) is None
+    assert unit_from_code(0x00560000, 200) is None

@@ -12,7 +12,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.errors import DeviceMismatch, NodeMissing, SafetyTrip, SdoAborted
 from coulombus.host.setup.device_response import SILENT_ROUNDS, Stamped, measure_devices, responses_ns
 from coulombus.node.profile import SdoAbort
-from coulombus.node.sdo_access import Access
+from coulombus.node.sdo_service import Access
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.address import BusUnavailable

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from coulombus.rigs.plan.response_times import Errors, Message, bit_ns, response_times, utilisation
 from coulombus.rigs.plan.worst_cycle import CycleTiming, worst_cycle
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
+from coulombus.sim_bus.can_bus.arbiter import end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.bits import data_frame_bits, worst_case_bits
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, QUEUE_CAPACITY, arbitration_key, frames, new_queue, push
 
 MS = 1_000_000
@@ -62,7 +63,7 @@ def carry(releases, first=None):
     for i, (t, _, m) in enumerate(releases):
         push(out, i, t, m.can_id, m.length, m.word)
     done = []
-    while (now := start_ns(bus[0], out)) < FAR_NS:
+    while (now := start_ns(bus[0], out)) < NEVER_NS:
         start_frame(bus[0], out, now)
         end_frame(bus[0], log, 0)
         _, nominal, m = releases[int(log["source"][0])]

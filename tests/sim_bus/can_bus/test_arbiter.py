@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coulombus.sim_bus.can_bus.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
+from coulombus.sim_bus.can_bus.arbiter import end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.bits import frame_bits
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import (
     CAN_EFF_FLAG,
     CAN_RTR_FLAG,
@@ -31,7 +32,7 @@ def carry(waiting, bitrate=1_000_000):
     for source, (ready, can_id, data) in enumerate(waiting):
         push(out, source, ready, can_id, len(data), data_word(data))
     carried = []
-    while (now := start_ns(bus[0], out)) < FAR_NS:
+    while (now := start_ns(bus[0], out)) < NEVER_NS:
         start_frame(bus[0], out, now)
         end_frame(bus[0], log, len(carried))
         carried.append((int(log["can_id"][len(carried)]), now, int(log["t_ns"][len(carried)])))

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.sim_bus.can_bus.bit_level import add_sender, begin_bits, run_bits
-from coulombus.sim_bus.can_bus.bus_state import ErrorKind, Stage
 from coulombus.sim_bus.can_bus.fault_confinement import CanState, state_of
 from coulombus.sim_bus.can_bus.faults import FaultKind
 from coulombus.sim_bus.can_bus.noise import seeded
-from coulombus.sim_bus.can_bus.records import CLIENTS
+from coulombus.sim_bus.can_bus.records import CLIENTS, ErrorKind, Stage
 from coulombus.sim_bus.can_bus.stations import attach, restart
 from coulombus.sim_bus.can_bus.stuffing import stuffed_bits
 from coulombus.wire.bits import frame_bits

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.sim_bus.can_bus.bus_state import Delivered, ErrorKind
 from coulombus.sim_bus.can_bus.fault_confinement import CanState
 from coulombus.sim_bus.can_bus.faults import TAIL_BIT, FaultKind
+from coulombus.sim_bus.can_bus.records import Delivered, ErrorKind
 from coulombus.sim_bus.can_bus.stuffing import TAIL_BITS
 from coulombus.sim_bus.can_bus.tx_queue import withdraw
 from coulombus.wire.bits import frame_bits

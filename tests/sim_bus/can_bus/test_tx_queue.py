@@ -7,7 +7,8 @@ import pytest
 
 from coulombus.sim_bus.can_bus.arbiter import new_bus
 from coulombus.sim_bus.can_bus.records import ROOM
-from coulombus.sim_bus.can_bus.tx_queue import FAR_NS, FEW, first_ns, take_in, win, withdraw
+from coulombus.sim_bus.can_bus.tx_queue import FEW, first_ns, take_in, win, withdraw
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import arbitration_key, new_queue, push
 
 
@@ -18,7 +19,7 @@ class Listed:
         self.frames: list[tuple[int, int, int, int]] = []  # ready, arbitration field, number, station
 
     def first_ns(self) -> int:
-        return min((ready for ready, *_ in self.frames), default=FAR_NS)
+        return min((ready for ready, *_ in self.frames), default=NEVER_NS)
 
     def winner(self, now_ns: int) -> int | None:
         ready = [frame for frame in self.frames if frame[0] <= now_ns]
@@ -65,7 +66,7 @@ def test_frames_leave_in_the_order_in_which_they_win(seed):
         expected = listed.winner(now)
         win(bus, out, now)
         assert bus["word"] == expected
-    assert first_ns(bus, out) == FAR_NS
+    assert first_ns(bus, out) == NEVER_NS
 
 
 def test_what_finds_no_room_is_counted():

@@ -20,8 +20,7 @@ from coulombus.sim_bus.rig.chain import NO_EVENT, _first_event, _next_event, _tr
 from coulombus.sim_bus.rig.own_friction import set_levels
 from coulombus.sim_bus.rig.plant import advance, new_plant, transducer_Nm, truth_columns
 from coulombus.sim_bus.rig.plant_step import advance_detailed
-from coulombus.sim_bus.rig.records import WaveRecord
-from coulombus.sim_bus.rig.wave import wave
+from coulombus.sim_bus.rig.records import WaveRecord, wave
 
 CABLE = {"stiffness_Nm_rad": 800.0, "damping_Nms_rad": 0.02, "motor_inertia_kg_m2": 1e-3}
 HANDLE = {"stiffness_Nm_rad": 500.0, "damping_Nms_rad": 0.01, "inertia_kg_m2": 5e-4}

@@ -110,7 +110,7 @@ def test_faults_that_are_certain_happen_to_every_frame():
 def test_frames_go_in_their_order_as_many_at_once_as_the_bus_takes(kind, at_once):
     one, source, sink = way(kind=kind)
     source.waiting = [frame(k) for k in range(1, 71)]
-    one.take(5)
+    one.receive(5)
     assert one.next_ns == 5
     one.give(4)
     assert sink.sent == []
@@ -125,7 +125,7 @@ def test_a_frame_that_is_delayed_less_overtakes():
     delays = iter([3 * MS, MS, 2 * MS, MS])
     one, source, sink = way(lambda given: [(next(delays), given)])
     source.waiting = [frame(k) for k in (1, 2, 3, 4)]
-    one.take(10 * MS)
+    one.receive(10 * MS)
     assert one.next_ns == 11 * MS
     one.give(11 * MS - 1)
     assert sink.sent == []
@@ -139,7 +139,7 @@ def test_a_frame_that_is_delayed_less_overtakes():
 def test_only_the_identifiers_that_were_asked_for_pass(flag):
     one, source, sink = way(ranges=((0x181, 0x183), (0x200, 0x200)))
     source.waiting = [frame(k | flag) for k in (0x180, 0x181, 0x183, 0x184, 0x1FF, 0x200, 0x201)]
-    one.take(0)
+    one.receive(0)
     one.give(0)
     assert sink.sent == [[k | flag for k in (0x181, 0x183, 0x200)]]
     assert (one.counts.received, one.counts.filtered, one.counts.dropped) == (7, 4, 0)
@@ -150,7 +150,7 @@ def test_a_frame_of_which_nothing_goes_on_is_dropped_and_one_without_room_overfl
     one, source, _ = way(lambda given: [(0, given)] * next(turns), room=2)
     source.lost = 3
     source.waiting = [frame(k) for k in range(1, 6)]
-    one.take(0)
+    one.receive(0)
     counts = one.counts
     assert (counts.received, counts.dropped, counts.overflow, counts.lost) == (5, 2, 2, 3)
     one.give(0)
@@ -161,7 +161,7 @@ def test_a_frame_of_which_nothing_goes_on_is_dropped_and_one_without_room_overfl
 def test_what_a_bus_does_not_take_is_tried_again_a_millisecond_later_in_its_order(error):
     one, source, sink = way()
     source.waiting = [frame(k) for k in (1, 2, 3)]
-    one.take(0)
+    one.receive(0)
     sink.error = error
     one.give(7)
     assert (one.counts.refused, one.counts.forwarded) == (1, 0)
@@ -173,14 +173,14 @@ def test_what_a_bus_does_not_take_is_tried_again_a_millisecond_later_in_its_orde
     assert sink.sent == [[1, 2, 3]]
     assert (one.counts.refused, one.counts.forwarded) == (1, 3)
     source.waiting = [frame(4)]
-    one.take(9 * MS)
+    one.receive(9 * MS)
     assert one.next_ns == 9 * MS
 
 
 def test_nothing_is_taken_of_a_bus_that_is_down():
     one, source, _ = way()
     source.error, source.lost = BusDown("down"), 5
-    one.take(0)
+    one.receive(0)
     assert (one.counts.received, one.counts.lost, one.next_ns) == (0, 0, None)
 
 

@@ -168,7 +168,7 @@ def test_the_converters_of_the_one_node_are_read_with_its_file_and_its_kind(tmp_
     assert (plans, pumps) == ([], [])
     found = nodes(tmp_path, (BRAKE, 5), io=tmp_path / "io.toml")
     assert plans == [(tmp_path / "io.toml", found.descriptions[0], BRAKE404)]
-    assert pumps == [("plan", live_nodes.Guard, found._tell_hardware)]
+    assert pumps == [("plan", live_nodes.Guard, found._report_hardware)]
     assert found.pump == "pump"
 
 

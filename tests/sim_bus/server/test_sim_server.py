@@ -22,7 +22,7 @@ import pytest
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.sim_bus.network.script import Entry, ScriptError, read_script
+from coulombus.sim_bus.network.script import ScriptEntry, ScriptError, read_script
 from coulombus.sim_bus.server.clients import SLOTS, SlotState
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress, BusUnavailable, parse_address, socket_path
@@ -306,9 +306,9 @@ def test_canopen_over_python_can_attaches(rig):
 
 def test_a_script_switches_a_node_off_and_on_and_resets_one(rig):
     script = (
-        Entry(1_050_000_000, "motor", "power_off"),
-        Entry(1_100_000_000, "motor", "power_on"),
-        Entry(1_000_000_000, "brake", "reset"),
+        ScriptEntry(1_050_000_000, "motor", "power_off"),
+        ScriptEntry(1_100_000_000, "motor", "power_on"),
+        ScriptEntry(1_000_000_000, "brake", "reset"),
     )
     with served(rig, script=script) as server:
         client = Client(server, filters=[(0x700, 0x780)])
@@ -341,7 +341,7 @@ def test_a_wrong_script_is_refused_with_the_entry(tmp_path, text, reason):
 def test_a_script_as_read(tmp_path):
     path = tmp_path / "script.toml"
     path.write_text("[[at]]\nt_s = 1.5\nnode = 'brake'\naction = 'power_off'\nafter = 'enabled'\n")
-    assert read_script(path) == (Entry(1_500_000_000, "brake", "power_off", "enabled"),)
+    assert read_script(path) == (ScriptEntry(1_500_000_000, "brake", "power_off", "enabled"),)
 
 
 def test_a_live_bus_is_refused_and_a_dead_ones_file_replaced(rig):

@@ -234,11 +234,11 @@ def test_clients_wait_while_the_bus_is_slower():
         remote.send(b"< send 181 0 >" * 1000)
         while way.counts.received <= 20:
             made.wait(PATIENCE_S)
-            way.take(0)
+            way.receive(0)
         received = way.counts.received
         for _ in range(20):
             assert not made.wait(0)
-            way.take(0)
+            way.receive(0)
         assert way.counts.received == received
         assert received <= 20 + module.READ_BYTES // len(b"< send 181 0 >") + 1
         made.hold(False)

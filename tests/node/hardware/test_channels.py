@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.node.hardware import converters
-from coulombus.node.hardware.channels import HardwareError, SafeWrite
-from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
+from coulombus.node.hardware import channels
+from coulombus.node.hardware.channels import HardwareError, PwmOutput, SafeWrite, counter, find, iio
 from fake_sysfs import FakeSysfs
 
 
 @pytest.fixture
 def sysfs(tmp_path, monkeypatch):
     for name in ("IIO", "PWM", "COUNTERS"):
-        monkeypatch.setattr(converters, name, tmp_path)
+        monkeypatch.setattr(channels, name, tmp_path)
     return FakeSysfs(tmp_path)
 
 
