@@ -120,7 +120,7 @@ def conformance(
         address = parse_address(tested.bus_name, WITH_ADAPTERS)
         description = read_eds(tested.eds_path)
         with BusLink(address) as link:
-            unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)
+            unit = Unit(link, description, tested.node_id, Timing.from_timeout(tested.timeout), tested.seed)
             check_before(unit, force=tested.force)
             unit.learn_abilities()
             text = intention(unit, {case.id for case in cases})

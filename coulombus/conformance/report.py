@@ -69,7 +69,7 @@ def as_dict(report: Report) -> dict[str, Any]:
 
 def summary(report: Report) -> str:
     """Return one line: how many cases passed, failed, do not apply."""
-    listed = [outcome for outcome in report.outcomes if not outcome.case.own]
+    listed = [outcome for outcome in report.outcomes if not outcome.case.is_additional]
     passed = sum(outcome.result == "pass" for outcome in listed)
     counts = (
         f"{report.count('pass')} passed, {report.count('fail')} failed, {report.count('not_applicable')} not applicable"

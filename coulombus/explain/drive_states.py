@@ -57,7 +57,7 @@ class Drives:
         self._last: dict[tuple[int, int, int], int] = {}
         self._forgotten: set[int] = set()  # nodes whose assumed maps were wrong
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for node in self.bus.contradicted - self._forgotten:
             self._axes = {key: axis for key, axis in self._axes.items() if key[0] != node}
@@ -69,12 +69,12 @@ class Drives:
                 events.append((row, t_ns, node, axis, low, value))
         self.bus.words.clear()
         for row, t_ns, node, axis, low, value in sorted(events):
-            self.look(t_ns)
+            self.note_overdue(t_ns)
             self._event(row, t_ns, node, axis, low, value)
         if len(block.t_ns):
-            self.look(int(block.t_ns[-1]))
+            self.note_overdue(int(block.t_ns[-1]))
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note drives that have not followed their command for too long."""
         for (node, axis), drive in self._axes.items():
             due_ns = drive.since_ns + STUCK_NS

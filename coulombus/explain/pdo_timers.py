@@ -24,7 +24,7 @@ class PdoTimers:
         self.bus, self.clues = bus, bus.clues
         self._last_ns: dict[int, int] = {}
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for key, group in block.groups.items():
             pdo_map = self.bus.maps.get(key)

@@ -44,7 +44,7 @@ class PdoTiming:
         self._since_ns = bus.sync_since_ns  # with which its period was learned
         self._intervals = SyncIntervals(bus)
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         if len(block.t_ns) == 0:
             return
@@ -72,7 +72,7 @@ class PdoTiming:
                 self._group(pdo, group, edges)
         if len(edges):
             self._sync_ns = int(edges[-1])
-        self.look(int(block.t_ns[-1]))
+        self.note_overdue(int(block.t_ns[-1]))
 
     def _edges(self, sync_ns: Integers) -> Integers:
         """Return the SYNCs but those that follow too soon: no PDO need come between them."""
@@ -81,7 +81,7 @@ class PdoTiming:
         edges: Integers = sync_ns[gaps >= SHORT * self.bus.sync_period_ns]
         return edges
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note stops that are overdue at a time [ns]."""
         for pdo in self._pdos.values():
             if pdo.held is not None:
@@ -113,7 +113,7 @@ class PdoTiming:
         if is_pdo and not pdo.babbles:
             self._repeated(pdo, stamps, rows, gaps, equal)
         if is_pdo and pdo.synchronous is not False and len(edges) and self.bus.sync_period_ns:
-            self._intervals.take(pdo, group, stamps, edges, equal)
+            self._intervals.add_pdo(pdo, group, stamps, edges, equal)
         if len(group):
             if is_pdo:
                 self._own_period(pdo, group, stamps, gaps, equal)

@@ -34,7 +34,7 @@ class StampBatches:
         self._gaps: Integers = np.zeros(0, np.int64)
         self._last_ns = -1
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         if not len(block.t_ns) or len(self._gaps) >= WHOLE:
             return

@@ -65,7 +65,7 @@ class SyncTiming:
         self._close: tuple[int, int] | None = None  # time and row of the first SYNC of a series that follow too soon
         self._close_ns = self._close_number = -1  # time and interval of the last one
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         if len(block.t_ns):
             self._process(block)
@@ -77,7 +77,7 @@ class SyncTiming:
     def _process(self, block: Block) -> None:
         sync = block.groups.get(SYNC)
         if sync is None:
-            self.look(int(block.t_ns[-1]), block)
+            self.note_overdue(int(block.t_ns[-1]), block)
             self._heard_ns = int(block.t_ns[-1])
             return
         stop = self._stop
@@ -97,10 +97,10 @@ class SyncTiming:
             )
         self._stop = _Stop(int(sync.t_ns[-1]), int(sync.rows[-1]))
         self.bus.sync_ns = self._stop.t_ns
-        self.look(int(block.t_ns[-1]), block)
+        self.note_overdue(int(block.t_ns[-1]), block)
         self._heard_ns = int(block.t_ns[-1])
 
-    def look(self, t_ns: int, block: Block | None = None) -> None:
+    def note_overdue(self, t_ns: int, block: Block | None = None) -> None:
         """Note a stop of SYNC that is overdue at a time [ns]; `block`: the frames until then, if they are new."""
         if self._stop is not None and self.bus.sync_period_ns:
             self._follow(block, self._stop, t_ns)

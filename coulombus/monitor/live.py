@@ -1,6 +1,6 @@
 """Present state of a bus: last value of every PDO, rates, ages, the nodes' states, and events.
 
-`Live.take` only stores frames, so a reader keeps up with a full bus; NumPy counts and decodes them
+`Live.add_frames` only stores frames, so a reader keeps up with a full bus; NumPy counts and decodes them
 when a snapshot is requested (`Live.snapshot`). Time is an argument: nanoseconds since 1970, as the
 frames' stamps.
 """
@@ -134,10 +134,10 @@ class Live:
 
     def _learn(self, block: Block) -> None:
         """Learn PDOs; without a rig these are shown."""
-        if self._learned is not None and self._learned.take(block.records) and self.rig is None:
-            self._take_learned(self._learned.received_pdos())
+        if self._learned is not None and self._learned.add_frames(block.records) and self.rig is None:
+            self._show_learned(self._learned.received_pdos())
 
-    def _take_learned(self, pdos: tuple[RigPdo, ...]) -> None:
+    def _show_learned(self, pdos: tuple[RigPdo, ...]) -> None:
         self._pdos = pdos
         for pdo in pdos:
             if pdo.layout.direction == "tpdo" and pdo.node_id not in self._by_id:
@@ -165,9 +165,9 @@ class Live:
         for node in self._nodes:
             node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
         self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
-        self._take_learned(self._learned.received_pdos())
+        self._show_learned(self._learned.received_pdos())
 
-    def take(self, received: Block | Sequence[Received]) -> None:
+    def add_frames(self, received: Block | Sequence[Received]) -> None:
         """Add frames; no content raises.
 
         They are processed together, on a snapshot or when there are `TOGETHER`.
@@ -232,7 +232,7 @@ class Live:
                 self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
         line.data, line.last_length = block.data(rows[-1]), int(block.lengths[rows[-1]])
 
-    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+    def add_event(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Add an event detected elsewhere, such as a closed bus, after those of the frames so far."""
         self._catch_up()
         self._note(t_ns, text, grave)

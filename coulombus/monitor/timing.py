@@ -58,7 +58,7 @@ class Spread:
     max_us: float
 
     @classmethod
-    def of(cls, times_ns: TimeCounts) -> Spread | None:
+    def from_counts(cls, times_ns: TimeCounts) -> Spread | None:
         """Return the spread of the times; None without times."""
         if not len(times_ns):
             return None
@@ -99,18 +99,18 @@ class Stamps:
 
     def __init__(self) -> None:
         self.source = "the recording's"
-        self._of: dict[int, _Line] = {}
+        self._by_id: dict[int, _Line] = {}
         self._sync_ns = np.zeros(0, np.int64)
         """The last SYNC so far, if any."""
         self._waiting: list[tuple[int, int]] = []
 
     @property
-    def of(self) -> Mapping[int, _Line]:
+    def by_id(self) -> Mapping[int, _Line]:
         """The stamps of each identifier."""
         self._flush()
-        return self._of
+        return self._by_id
 
-    def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
+    def add_frames(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Add frames of a live bus, as `wire.client.Client.receive` returns them."""
         self._waiting += [(t_ns, can_id) for t_ns, can_id, _, _ in received]
         if len(self._waiting) > MOST_WAITING:
@@ -120,16 +120,16 @@ class Stamps:
         if self._waiting:
             t_ns, can_ids = np.array(self._waiting, np.int64).T
             self._waiting = []
-            self.take_all(t_ns, can_ids)
+            self.add_stamps(t_ns, can_ids)
 
-    def take_all(self, t_ns: Integers, can_ids: Integers) -> None:
+    def add_stamps(self, t_ns: Integers, can_ids: Integers) -> None:
         """Add frames of a recording."""
         syncs = np.concatenate((self._sync_ns, t_ns[can_ids == CobId.SYNC]))
         self._sync_ns = syncs[-1:]
         for can_id in np.unique(can_ids).tolist():
             if not can_id & CAN_ERR_FLAG:
                 times = t_ns[can_ids == can_id]
-                line = self._of.setdefault(can_id, _Line(int(times[0]), int(times[0])))
+                line = self._by_id.setdefault(can_id, _Line(int(times[0]), int(times[0])))
                 line.gaps.add(np.diff(times, prepend=line.last_ns)[0 if line.frames else 1 :])
                 line.delays.add(_delays(times, syncs))
                 line.frames += len(times)
@@ -151,11 +151,11 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         while (left := end - time.monotonic()) > 0 and not stop.wait(0):
             client.wait(min(left, WAIT_S))
             while frames := client.receive():
-                stamps.take(frames)
+                stamps.add_frames(frames)
         client.ask()
         client.wait(WAIT_S)
         while frames := client.receive():
-            stamps.take(frames)
+            stamps.add_frames(frames)
         stamps.source = client.stamps
         return stamps, client.lost
 
@@ -168,7 +168,7 @@ def recorded(source: Source) -> dict[str, Stamps]:
         t_ns, can_ids = block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64)
         for channel in channels:
             on_channel = block.capture.frames_on(channel)
-            stamps[channel].take_all(t_ns[on_channel], can_ids[on_channel])
+            stamps[channel].add_stamps(t_ns[on_channel], can_ids[on_channel])
     return stamps
 
 
@@ -185,8 +185,8 @@ def recorded_bare(path: Path, channel: Channel, bus: KnownBus, remarks: list[str
     stamps, maps = Stamps(), LogMaps(bus.eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
-        maps.take(frames)
-        stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
+        maps.add_frames(frames)
+        stamps.add_stamps(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
     return KnownBus(learned=maps.pdos()), stamps
 
 
@@ -198,7 +198,7 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
     pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in bus.pdos}
     nodes = {} if bus.host is None else bus.names
     timings = []
-    for can_id, line in sorted(stamps.of.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
+    for can_id, line in sorted(stamps.by_id.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
         period = line.gaps.median() if len(line.gaps) else None
         span_s = (line.last_ns - line.first_ns) / 1e9
         timings.append(
@@ -209,8 +209,8 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
                 frames=line.frames,
                 rate_per_s=float(len(line.gaps) / span_s) if span_s > 0 else None,
                 period_ms=None if period is None else period / 1e6,
-                jitter=None if period is None else Spread.of(line.gaps.distances(period)),
-                from_sync=Spread.of(line.delays)
+                jitter=None if period is None else Spread.from_counts(line.gaps.distances(period)),
+                from_sync=Spread.from_counts(line.delays)
                 if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDO_NAMES)
                 else None,
             )

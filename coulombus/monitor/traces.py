@@ -50,12 +50,12 @@ class Traces:
         self._units = {signal.name: signal.unit for pdo in self._pdos.values() for signal in pdo.signals}
         self._waiting: list[Block] = []
 
-    def take(self, block: Block) -> None:
-        """Add frames; they are decoded at the next look."""
+    def add_frames(self, block: Block) -> None:
+        """Add frames; they are decoded at the next snapshot."""
         if self.names:
             self._waiting.append(block)
 
-    def look(self, t_ns: int) -> tuple[Trace, ...]:
+    def snapshot(self, t_ns: int) -> tuple[Trace, ...]:
         """Return the envelopes of the ten seconds before `t_ns`."""
         block, self._waiting = Block.joined(self._waiting), []
         for can_id, pdo in self._pdos.items():

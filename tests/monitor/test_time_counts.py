@@ -51,7 +51,7 @@ def test_the_timing_does_not_depend_on_the_stretches(parts):
     can_ids = chance.choice([0x80, 0x181, 0x182, 0x701], 3000)
     stamps = Stamps()
     for rows in np.array_split(np.arange(3000), parts):
-        stamps.take_all(t_ns[rows], can_ids[rows])
+        stamps.add_stamps(t_ns[rows], can_ids[rows])
     syncs = t_ns[can_ids == 0x80]
     for row in timing(KnownBus(), stamps):
         own = t_ns[can_ids == row.can_id]

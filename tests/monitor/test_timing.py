@@ -30,7 +30,7 @@ def stamped():
     frames = []
     for k in range(1000):
         frames += [(k * MS, 0x080, 0, b""), (k * MS + (170_000 if k % 100 == 50 else 120_000), 0x181, 8, bytes(8))]
-    stamps.take([*frames, (5, CAN_ERR_FLAG | 1, 8, bytes(8))])
+    stamps.add_frames([*frames, (5, CAN_ERR_FLAG | 1, 8, bytes(8))])
     return stamps
 
 
@@ -47,7 +47,7 @@ def test_rate_jitter_and_delay():
 
 def test_what_needs_two_frames_is_none_of_one():
     stamps = Stamps()
-    stamps.take([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
+    stamps.add_frames([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
     motor, beat = timing(KnownBus(load_rig("bench")), stamps)
     assert (beat.name, beat.rate_per_s, beat.period_ms, beat.jitter) == ("motor heartbeat", None, None, None)
     assert motor.from_sync is None  # it came before any SYNC
@@ -57,7 +57,7 @@ def test_what_needs_two_frames_is_none_of_one():
 def test_names_of_services():
     stamps = Stamps()
     ids = (0x000, 0x080, 0x082, 0x100, 0x185, 0x582, 0x601, 0x77F, 0x7E5)
-    stamps.take([(1, can_id, 0, b"") for can_id in ids])
+    stamps.add_frames([(1, can_id, 0, b"") for can_id in ids])
     names = [row.name for row in timing(KnownBus(load_rig("bench")), stamps)]
     assert names == [
         "NMT", "SYNC", "brake EMCY", "TIME", "-", "brake SDO tx", "motor SDO rx", "host heartbeat", "LSS_RX",
@@ -89,7 +89,9 @@ def test_no_line_is_wider_than_80_columns(rig):
     stamps = Stamps()
     ids = [0x080, *(pdo.layout.cob_id for pdo in rig.pdos()), *(0x700 + node.node_id for node in rig.nodes)]
     random = np.random.default_rng(3)
-    stamps.take([(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))])
+    stamps.add_frames(
+        [(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))]
+    )
     lines = [*as_lines(timing(KnownBus(rig), stamps)), *(line for pdo in rig.pdos() for line in pdo_lines(pdo))]
     assert max(map(len, lines)) <= 80
 
@@ -133,7 +135,7 @@ def test_listening_to_a_bus(private_sockets, monkeypatch):
 
         monkeypatch.setattr("coulombus.monitor.timing.StopSignals", Heard)
         stamps, lost = listen(parse_address("coulombus:t"), 0.05)
-    assert {can_id: line.frames for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
+    assert {can_id: line.frames for can_id, line in stamps.by_id.items()} == {0x080: 20, 0x181: 20}
     assert lost == 3
 
 

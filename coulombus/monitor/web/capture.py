@@ -89,7 +89,7 @@ class _Pdo:
         tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
         self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
 
-    def take(self, t_ns: Integers, words: Integers) -> None:
+    def add_samples(self, t_ns: Integers, words: Integers) -> None:
         """Process the frames of a batch that have this PDO's length."""
         values = np.empty((len(self.drawn), len(t_ns)))
         for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
@@ -147,12 +147,12 @@ class LiveCapture:
         """Return the signals of each plot of an axis, by the plot's title."""
         return self._names[axis.name]
 
-    def take(self, received: Block | Sequence[Received]) -> None:
+    def add_frames(self, received: Block | Sequence[Received]) -> None:
         """Process the frames of some milliseconds."""
         block = received if isinstance(received, Block) else Block.of(received)
         if not len(block):
             return
-        self.live.take(block)
+        self.live.add_frames(block)
         self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
         self.begin_ns = self.begin_ns or int(block.t_ns.min())
         for can_id, rows in block.rows.items():
@@ -163,7 +163,7 @@ class LiveCapture:
                 continue
             rows = rows[block.lengths[rows] == line.pdo.layout.length]
             if len(rows):
-                line.take(block.t_ns[rows], block.words[rows])
+                line.add_samples(block.t_ns[rows], block.words[rows])
                 line.data = block.data(rows[-1])[: line.pdo.layout.length]
         for k in range(len(self._differences)):
             self._difference(k)
@@ -207,9 +207,9 @@ class LiveCapture:
         (first_ns, before), (last_ns, after) = self._bits[0], self._bits[-1]
         return (after - before) / (bitrate_bit_s * max(last_ns - first_ns, 1) * 1e-9)
 
-    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+    def add_event(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Add an event detected elsewhere."""
-        self.live.tell(t_ns, text, grave)
+        self.live.add_event(t_ns, text, grave)
 
     def snapshot(self, now_ns: int) -> Snapshot:
         """Return the present snapshot, and keep the new events."""

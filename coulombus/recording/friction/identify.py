@@ -133,7 +133,7 @@ def identified(
     notes = list(slides.remarks)
     candidates = () if ratio is None else find_waves(slides, ratio, kinds)
     delay = torque_delay(rows, slides)
-    levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
+    levels = Levels.from_speeds(rows.v, count_Nm) if count_Nm > 0 else None
 
     def fitted(waves: Sequence[AngleWave]) -> Fit:
         columns = wave_columns(waves, rows, slides.slides) | delay

@@ -163,7 +163,7 @@ class Levels:
     error: float
 
     @classmethod
-    def of(cls, v: Floats, count: float) -> Levels:
+    def from_speeds(cls, v: Floats, count: float) -> Levels:
         """Return the levels of rows at the speeds `v`, for a torque of resolution `count` [Nm]."""
         speed_class = np.floor(np.log(np.maximum(np.abs(v), 1e-9)) / LEVEL_WIDTH).astype(np.int64)
         return cls(speed_class - speed_class.min(), np.sign(v), LEVEL_SHARE * count / math.sqrt(12))
