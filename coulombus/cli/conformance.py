@@ -168,8 +168,7 @@ def _print(report: Report) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from coulombus.conformance.causes import causes, reasons
-    from coulombus.conformance.report import WORDS, heading, summary
+    from coulombus.conformance.report import WORDS, causes, heading, reasons, summary
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole()

@@ -30,7 +30,7 @@ AXES = 8
 
 
 @dataclass
-class _Axis:
+class _DriveAxis:
     state: int = -1
     control: int = -1
     since_ns: int = -1  # time since which a transition is due; -1: none
@@ -53,7 +53,7 @@ class Drives:
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
-        self._axes: dict[tuple[int, int], _Axis] = {}
+        self._axes: dict[tuple[int, int], _DriveAxis] = {}
         self._last: dict[tuple[int, int, int], int] = {}
         self._forgotten: set[int] = set()  # nodes whose assumed maps were wrong
 
@@ -110,7 +110,7 @@ class Drives:
                             yield int(group.rows[i]), int(group.t_ns[i]), pdo_map.node, axis, low, int(words[i])
 
     def _event(self, row: int, t_ns: int, node: int, axis: int, low: int, value: int) -> None:
-        drive = self._axes.setdefault((node, axis), _Axis())
+        drive = self._axes.setdefault((node, axis), _DriveAxis())
         if low == ERROR_CODE:
             if value:
                 clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {error_text(value)}", row=row, subject=axis)
@@ -130,7 +130,7 @@ class Drives:
             self._status(row, t_ns, node, axis, drive, value)
         self._expect(row, t_ns, node, axis, drive)
 
-    def _status(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis, value: int) -> None:
+    def _status(self, row: int, t_ns: int, node: int, axis: int, drive: _DriveAxis, value: int) -> None:
         state = int(STATE_OF_STATUSWORD[value & 0x7F])
         before, drive.state = drive.state, state
         if state == before or state < 0:
@@ -161,7 +161,7 @@ class Drives:
         elif state == enabled:
             self.clues.end("left_enabled", node, t_ns, "it is in Operation Enabled again", subject=axis)
 
-    def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis) -> None:
+    def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _DriveAxis) -> None:
         """Store the time since which a transition of the drive is due."""
         moves = False
         if drive.control >= 0 and drive.state >= 0 and drive.state not in FAULTS:

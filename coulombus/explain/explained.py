@@ -23,13 +23,11 @@ from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
+from coulombus.explain.log_stamps import OF_TIMES, StampBatches, StraightTimes
 from coulombus.explain.nmt_orders import Orders
 from coulombus.explain.node_summary import NodeSummary, summary_of
-from coulombus.explain.pdo_timers import PdoTimers
-from coulombus.explain.pdo_timing import PdoTiming
+from coulombus.explain.pdo_timing import PdoTimers, PdoTiming
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.stamp_batches import OF_TIMES, StampBatches
-from coulombus.explain.straight_times import StraightTimes
 from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.captures import captures_of_bus

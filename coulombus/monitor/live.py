@@ -48,7 +48,7 @@ TOGETHER = 20_000
 
 
 @dataclass
-class _Line:
+class _IdentifierFrames:
     """Frames of one identifier."""
 
     length: int = -1  # expected, -1: any
@@ -75,7 +75,7 @@ class _Node:
     known: bool = True
     services: int = 0
     """Number of its frames other than those with a line."""
-    heartbeat: _Line = field(default_factory=_Line)
+    heartbeat: _IdentifierFrames = field(default_factory=_IdentifierFrames)
     sdo: SdoChannel = field(default_factory=lambda: SdoChannel(None))
 
 
@@ -94,8 +94,8 @@ class Live:
         rig = self.rig = bus.rig
         self._learned = LogMaps(bus.eds) if rig is None or assumed else None
         self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
-        self._lines: dict[int, _Line] = {}
-        self._sync = self._lines[CobId.SYNC] = _Line()
+        self._lines: dict[int, _IdentifierFrames] = {}
+        self._sync = self._lines[CobId.SYNC] = _IdentifierFrames()
         self._nodes: list[_Node] = []
         if rig is not None:
             self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
@@ -118,7 +118,7 @@ class Live:
     def _arrange(self) -> None:
         """Set the line, the sender and the statusword of each PDO."""
         for pdo in self._pdos:
-            line = self._lines.setdefault(pdo.layout.cob_id, _Line())
+            line = self._lines.setdefault(pdo.layout.cob_id, _IdentifierFrames())
             line.length = pdo.layout.length if pdo.layout.entries else -1
         tpdos = [pdo for pdo in self._pdos if pdo.layout.direction == "tpdo"]
         self._sends = {n.node_id: [p.layout.cob_id for p in tpdos if p.node_id == n.node_id] for n in self._nodes}
@@ -200,7 +200,7 @@ class Live:
                 self._other(t_ns, can_id, data[:length])
         self._events[before:] = sorted(self._events[before:], key=itemgetter(0))
 
-    def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
+    def _take_line(self, line: _IdentifierFrames, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
         """Process the rows of a block that belong to one line."""
         if line.length != -1:
             right = block.lengths[rows] == line.length

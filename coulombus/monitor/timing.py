@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import PDO_NAMES, CobId
-from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.maps.known_bus import KnownBus
@@ -28,12 +27,26 @@ from coulombus.wire.address import BusAddress
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
+__all__ = [
+    "Spread",
+    "Stamps",
+    "TimeCounts",
+    "Timing",
+    "as_dict",
+    "as_lines",
+    "listen",
+    "recorded",
+    "recorded_bare",
+    "timing",
+]
 
 Integers = npt.NDArray[np.int64]
+NONE = np.zeros(0, np.int64)
 WAIT_S = 0.1
 MOST_WAITING = 4096
 """Frames of a live bus that wait to be counted."""
+UNCOUNTED = 1 << 16
+"""Times that wait to be counted."""
 NAMES = {int(service): service.name for service in CobId}
 FUNCTION = 0x780
 NODE_SERVICES = {
@@ -47,6 +60,59 @@ UNITS = {"us": 1.0, "ms": 1e3, "s": 1e6}
 """Units of the table's times [us]."""
 MOST = 99_999.5
 """Largest number that has five characters."""
+
+
+class TimeCounts:
+    """How often each time [ns] came, for exact quantiles: a cycle's times repeat, or differ by its jitter."""
+
+    def __init__(self, times_ns: Integers = NONE, counts: Integers = NONE) -> None:
+        self._times, self._counts = times_ns, counts
+        self._waiting: list[Integers] = []
+        self._size = 0
+
+    def add(self, times_ns: Integers) -> None:
+        """Count times."""
+        self._waiting.append(times_ns)
+        self._size += len(times_ns)
+        if self._size >= UNCOUNTED:
+            self._count()
+
+    def _count(self) -> None:
+        times, counts = np.unique(np.concatenate([NONE, *self._waiting]), return_counts=True)
+        self._waiting, self._size = [], 0
+        self._times, places = np.unique(np.concatenate((self._times, times)), return_inverse=True)
+        sums = np.zeros(len(self._times), np.int64)
+        np.add.at(sums, places, np.concatenate((self._counts, counts)))
+        self._counts = sums
+
+    def __len__(self) -> int:
+        return int(self._counts.sum()) + self._size
+
+    def at(self, place: float) -> float:
+        """Return the time at a place of the sorted times, counted from 0, interpolated as `numpy.percentile` does."""
+        self._count()
+        ends = np.cumsum(self._counts)
+        begin = int(place)
+        rows = np.searchsorted(ends, [begin, min(begin + 1, int(ends[-1]) - 1)], "right")
+        low, high = self._times[rows].tolist()
+        share = place - begin
+        return float(low + (high - low) * share if share < 0.5 else high - (high - low) * (1 - share))
+
+    def percentiles(self, percents: Sequence[float]) -> list[float]:
+        """Return percentiles [ns]."""
+        return [self.at((len(self) - 1) * (percent / 100)) for percent in percents]
+
+    def median(self) -> float:
+        """Return the median [ns]; of an even number the mean of the middle two."""
+        middle = (len(self) - 1) // 2
+        return (self.at(middle) + self.at(len(self) // 2)) / 2
+
+    def distances(self, from_ns: float) -> TimeCounts:
+        """Return the distances from a time, in whole ns."""
+        self._count()
+        apart = TimeCounts(np.abs(self._times - from_ns).astype(np.int64), self._counts)
+        apart._count()
+        return apart
 
 
 @dataclass(frozen=True)
@@ -84,7 +150,7 @@ class Timing:
 
 
 @dataclass
-class _Line:
+class _IdentifierStamps:
     """Stamps of one identifier: the first, the last, their number; intervals, and delays after the last SYNC."""
 
     first_ns: int
@@ -99,13 +165,13 @@ class Stamps:
 
     def __init__(self) -> None:
         self.source = "the recording's"
-        self._by_id: dict[int, _Line] = {}
+        self._by_id: dict[int, _IdentifierStamps] = {}
         self._sync_ns = np.zeros(0, np.int64)
         """The last SYNC so far, if any."""
         self._waiting: list[tuple[int, int]] = []
 
     @property
-    def by_id(self) -> Mapping[int, _Line]:
+    def by_id(self) -> Mapping[int, _IdentifierStamps]:
         """The stamps of each identifier."""
         self._flush()
         return self._by_id
@@ -129,7 +195,7 @@ class Stamps:
         for can_id in np.unique(can_ids).tolist():
             if not can_id & CAN_ERR_FLAG:
                 times = t_ns[can_ids == can_id]
-                line = self._by_id.setdefault(can_id, _Line(int(times[0]), int(times[0])))
+                line = self._by_id.setdefault(can_id, _IdentifierStamps(int(times[0]), int(times[0])))
                 line.gaps.add(np.diff(times, prepend=line.last_ns)[0 if line.frames else 1 :])
                 line.delays.add(_delays(times, syncs))
                 line.frames += len(times)

@@ -41,8 +41,7 @@ from conformance_slaves import (
     wrong_default,
 )
 from coulombus.conformance.catalogue import catalogue
-from coulombus.conformance.causes import causes
-from coulombus.conformance.report import as_dict, heading, markdown, page
+from coulombus.conformance.report import as_dict, causes, heading, markdown, page
 from coulombus.conformance.tester.storage import intention
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.wire.bus_link import BusFrame

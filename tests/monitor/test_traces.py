@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from coulombus.monitor.braille import DOTS, drawn
 from coulombus.monitor.live import Live
-from coulombus.monitor.screen import Screen
+from coulombus.monitor.screen import DOTS, Screen, drawn
 from coulombus.monitor.traces import Traces
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS
 from coulombus.recording.maps.known_bus import KnownBus

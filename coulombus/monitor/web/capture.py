@@ -14,7 +14,7 @@ import numpy as np
 
 from coulombus.monitor.live import Live
 from coulombus.monitor.snapshot import Event, Snapshot
-from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
+from coulombus.monitor.tracks import Integers, LiveEnvelope, Samples, Track, velocity
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.axis import Axis
@@ -74,7 +74,7 @@ class Curve:
     friction_Nm: tuple[float, ...]
 
 
-class _Pdo:
+class _DrawnPdo:
     """Kept data of a PDO."""
 
     def __init__(self, pdo: RigPdo, capacity: int) -> None:
@@ -85,7 +85,7 @@ class _Pdo:
         self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
         self.data: bytes | None = None
         self.drawn = tuple(field for field in self.fields if field[0].key in SHOWN)
-        self.samples, self.envelope = Samples(capacity, len(self.drawn)), Envelope(len(self.drawn))
+        self.samples, self.envelope = Samples(capacity, len(self.drawn)), LiveEnvelope(len(self.drawn))
         tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
         self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
 
@@ -120,13 +120,15 @@ class LiveCapture:
         self.rig, self.live = rig, Live(KnownBus(rig))
         period_ns = rig.bus.period_ns
         self._capacity = max(64, 2 * FADE_NS // period_ns)
-        self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
+        self._pdos = {pdo.layout.cob_id: _DrawnPdo(pdo, self._capacity) for pdo in rig.pdos()}
         self._tracks = {name: track for pdo in self._pdos.values() for name, track in pdo.tracks.items()}
         self._differences: list[tuple[Track, Track]] = []
         for axis in rig.axes:
             position = self._tracks.get(axis.prefix + POSITION)
             if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
-                velocity_track = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
+                velocity_track = self._tracks[axis.prefix + VELOCITY] = Track(
+                    Samples(self._capacity), LiveEnvelope(), 0
+                )
                 self._differences.append((velocity_track, position))
         self._names = {
             axis.name: {
