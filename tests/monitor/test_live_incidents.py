@@ -109,7 +109,7 @@ def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
         raise ValueError("an odd bus")
 
     monkeypatch.setattr("coulombus.monitor.live_incidents.LOOK_S", 0.0)
-    monkeypatch.setattr(reader, "look", fail)
+    monkeypatch.setattr(reader, "update", fail)
     reader._run()
     assert reader.failure == "the search for incidents has ended: ValueError: an odd bus"
     reader.add_frames(beats(1, 2, 1))
