@@ -38,7 +38,7 @@ def compare(bus: str, eds: Path) -> Report:
         local.sdo[0x1018][4].raw = NODE_ID  # the simulated node with the same EDS has serial number 1, and LSS
         local.nmt.send_command(0)
         with BusLink(address) as link:
-            unit = Unit(link, read_eds(eds), NODE_ID, Timing.of(0.3))
+            unit = Unit(link, read_eds(eds), NODE_ID, Timing.from_timeout(0.3))
             check_before(unit, force=True)
             report = run(unit, select(()), lambda n, case: _show(n, case))
         if report.ended_by is not None:

@@ -90,10 +90,10 @@ def live(seconds: float = 20.0) -> None:
     batch = max(round(1e8 / every_ns), 1)
     begin = time.process_time()
     for number, start in enumerate(range(0, count, batch), 1):
-        explainer.take(Block.from_frames(received[start : start + batch]).records)
+        explainer.add_frames(Block.from_frames(received[start : start + batch]).records)
         if number % 5 == 0:
-            explainer.look()
-            followed.look(explainer.explanation())
+            explainer.note_overdue()
+            followed.report_changes(explainer.explanation())
     used = time.process_time() - begin
     print(f"live, {count / seconds:.0f} frames a second for {seconds:g} s: {100 * used / seconds:.1f} % of a core")
 

@@ -128,6 +128,6 @@ def explained(frames: Records, rig: Rig | None = None, files: EdsFiles | None = 
     """Explain frames as a recording would bring them, some thousands at a time."""
     explainer = Explainer(KnownBus(rig, files or EdsFiles()))
     for start in range(0, len(frames), 5000):
-        explainer.take(frames[start : start + 5000])
+        explainer.add_frames(frames[start : start + 5000])
     explainer.end()
     return explainer.explanation()

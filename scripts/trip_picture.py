@@ -83,10 +83,10 @@ class Scene:
         block = Block(table.t_ns[rows] + BEGIN_NS, table.can_ids[rows], table.lengths[rows], table.words[rows])
         self._next = stop
         with self.page.lock:
-            self.page.capture.take(block)
-            self.incidents.take(block)
-            self.incidents.look(until_ns)
-            self.page.host.tell(self._status(until_ns))
+            self.page.capture.add_frames(block)
+            self.incidents.add_frames(block)
+            self.incidents.update(until_ns)
+            self.page.host.update(self._status(until_ns))
         self.page.tick(until_ns)
 
     def _status(self, now_ns: int) -> dict[str, Any]:

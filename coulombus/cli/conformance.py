@@ -120,7 +120,7 @@ def conformance(
         address = parse_address(tested.bus_name, WITH_ADAPTERS)
         description = read_eds(tested.eds_path)
         with BusLink(address) as link:
-            unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)
+            unit = Unit(link, description, tested.node_id, Timing.from_timeout(tested.timeout), tested.seed)
             check_before(unit, force=tested.force)
             unit.learn_abilities()
             text = intention(unit, {case.id for case in cases})
@@ -168,8 +168,7 @@ def _print(report: Report) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from coulombus.conformance.causes import causes, reasons
-    from coulombus.conformance.report import WORDS, heading, summary
+    from coulombus.conformance.report import WORDS, causes, heading, reasons, summary
     from coulombus.system.printable_console import PrintableConsole
 
     console = PrintableConsole()

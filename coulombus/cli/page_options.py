@@ -263,7 +263,7 @@ def serve_last_page(address: BusAddress | None, page: PageOptions, *, seconds: f
         where = f"its recording: coulombus watch {shlex.quote(file)} --web" if file else "it made no recording"
         raise NoHost(f"no page was open at the end of the last host on bus {address}, {ending(word)}; {where}")
     serve_last(
-        *(LastPage.of(content, new_token()), lambda url: _ready(url, as_json)),
+        *(LastPage.from_file(content, new_token()), lambda url: _ready(url, as_json)),
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,

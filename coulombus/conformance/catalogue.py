@@ -25,7 +25,7 @@ class Case:
     clause: str
 
     @property
-    def own(self) -> bool:
+    def is_additional(self) -> bool:
         """Return whether the case is not among the 127 of the conformance test plan."""
         return self.id[0].isalpha()
 

@@ -1,22 +1,37 @@
 """The report of a run as JSON, JUnit XML, Markdown and HTML.
 
-For people: verdict, causes of failures, then the cases, those that failed first. For programs: the
+A fault shared by several cases is reported once, as a cause of failures.
+
+For people: verdict, causes, then the cases, those that failed first. For programs: the
 cases in the order of the catalogue.
 """
 
 from __future__ import annotations
 
 import html
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from coulombus.conformance.causes import FailureCause, causes, reasons
 from coulombus.conformance.runner import Outcome, Report
 from coulombus.system.foreign_text import one_line, printable
 from coulombus.system.quoting import xml
 
-__all__ = ["WORDS", "as_dict", "heading", "junit", "markdown", "summary", "verdict", "write_junit", "write_report"]
+__all__ = [
+    "WORDS",
+    "FailureCause",
+    "as_dict",
+    "causes",
+    "heading",
+    "junit",
+    "markdown",
+    "reasons",
+    "summary",
+    "verdict",
+    "write_junit",
+    "write_report",
+]
 
 WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
 _SHOWN = ("fail", "error")
@@ -33,6 +48,48 @@ table { border-collapse: collapse; } tr { border-bottom: 1px solid var(--line); 
 pre { background: var(--soft); padding: 1em; overflow-x: auto; }
 @media print { :root { color-scheme: light; } body { margin: 0; } tr, pre { break-inside: avoid; } thead { display: table-header-group; } }
 """
+
+
+@dataclass(frozen=True)
+class FailureCause:
+    """A fault of the device: its text, the clause that forbids it, the failed cases, and the frames of the first."""
+
+    text: str
+    clause: str
+    cases: tuple[str, ...]
+    frames: tuple[str, ...]
+
+
+def causes(report: Report) -> list[FailureCause]:
+    """Return the causes of the failures, in decreasing number of failed cases."""
+    outcomes: dict[str, list[int]] = {}
+    for number, outcome in enumerate(report.outcomes):
+        if outcome.result == "fail":
+            outcomes.setdefault(outcome.cause, []).append(number)
+    listed = []
+    for text, numbers in outcomes.items():
+        first = report.outcomes[numbers[0]]
+        cases = tuple(report.outcomes[number].case.id for number in numbers)
+        listed.append(FailureCause(text if len(cases) > 1 else first.reason, first.clause, cases, first.frames))
+    return sorted(listed, key=lambda cause: -len(cause.cases))
+
+
+def reasons(report: Report) -> list[str]:
+    """Return the text for each case in the list: its reason, or the number of its shared cause.
+
+    A reason already given by the cause's first case is not repeated.
+    """
+    numbers = {case: number for number, cause in enumerate(causes(report), 1) for case in cause.cases}
+    shared = {case for cause in causes(report) if len(cause.cases) > 1 for case in cause.cases}
+    printed: set[str] = set()
+    texts = []
+    for outcome in report.outcomes:
+        text = outcome.reason
+        if outcome.case.id in shared:
+            text = f"cause {numbers[outcome.case.id]}" + ("" if text in printed else f": {text}")
+            printed.add(outcome.reason)
+        texts.append(text)
+    return texts
 
 
 def heading(number: int, cause: FailureCause) -> str:
@@ -69,7 +126,7 @@ def as_dict(report: Report) -> dict[str, Any]:
 
 def summary(report: Report) -> str:
     """Return one line: how many cases passed, failed, do not apply."""
-    listed = [outcome for outcome in report.outcomes if not outcome.case.own]
+    listed = [outcome for outcome in report.outcomes if not outcome.case.is_additional]
     passed = sum(outcome.result == "pass" for outcome in listed)
     counts = (
         f"{report.count('pass')} passed, {report.count('fail')} failed, {report.count('not_applicable')} not applicable"

@@ -146,7 +146,7 @@ class Bus:
         self.words: list[tuple[int, int, int, int, int]] = []
         """Drives' objects seen in SDO transfers: row, time, node, index, value."""
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Count the frames, and detect nodes."""
         if len(block.t_ns) == 0:
             return

@@ -53,7 +53,7 @@ class BusLoad:
         self._full: list[tuple[int, int, dict[int, int]]] = []  # successive full windows: number, first row, counts
         _bits_of(*[np.zeros(0, np.int64)] * 4)  # loads the machine code, while no frame of a live bus waits
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         frames, row = block.frames, block.first_row
         if not self.bus.bitrate and self._learned < BATCHES:

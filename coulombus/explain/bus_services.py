@@ -27,18 +27,18 @@ class Services:
         self._period_ns = 0
         self._due_ns = NEVER  # time at which a bus without PDO is one
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
-        for row, t_ns, key, word, length in block.of(TIME, LSS_ANSWER):
+        for row, t_ns, key, word, length in block.merged(TIME, LSS_ANSWER):
             if key == TIME:
-                self.look(t_ns)
+                self.note_overdue(t_ns)
                 self._time(row, t_ns)
             elif length == 8:
                 self._lss(row, t_ns, data_bytes(word, 8))
         if len(block.t_ns):
-            self.look(int(block.t_ns[-1]))
+            self.note_overdue(int(block.t_ns[-1]))
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note what is overdue at a time [ns]."""
         overdue = self._period_ns and t_ns > self._times[-1] + STOPPED * self._period_ns
         if overdue and not self.clues.stands("time_lost", None):

@@ -61,7 +61,7 @@ class Disturbances:
         self._recent: list[_Destroyed] = []
         self._told: dict[int, tuple[Counter[str], Counter[int]]] = {}  # kinds and identifiers of a clue
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         group = block.groups.get(ERROR)
         if group is not None:
@@ -71,7 +71,7 @@ class Disturbances:
         if group is not None or len(self._rest):
             self._count(np.concatenate((self._rest, block.frames)), block.first_row - len(self._rest))
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Process the error frames that no frame followed until a time [ns]."""
         if len(self._rest) and t_ns > int(self._rest["t_ns"][-1]) + STATE_NS:
             self.end()

@@ -30,7 +30,7 @@ AXES = 8
 
 
 @dataclass
-class _Axis:
+class _DriveAxis:
     state: int = -1
     control: int = -1
     since_ns: int = -1  # time since which a transition is due; -1: none
@@ -53,11 +53,11 @@ class Drives:
 
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues = bus, bus.clues
-        self._axes: dict[tuple[int, int], _Axis] = {}
+        self._axes: dict[tuple[int, int], _DriveAxis] = {}
         self._last: dict[tuple[int, int, int], int] = {}
         self._forgotten: set[int] = set()  # nodes whose assumed maps were wrong
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for node in self.bus.contradicted - self._forgotten:
             self._axes = {key: axis for key, axis in self._axes.items() if key[0] != node}
@@ -69,12 +69,12 @@ class Drives:
                 events.append((row, t_ns, node, axis, low, value))
         self.bus.words.clear()
         for row, t_ns, node, axis, low, value in sorted(events):
-            self.look(t_ns)
+            self.note_overdue(t_ns)
             self._event(row, t_ns, node, axis, low, value)
         if len(block.t_ns):
-            self.look(int(block.t_ns[-1]))
+            self.note_overdue(int(block.t_ns[-1]))
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note drives that have not followed their command for too long."""
         for (node, axis), drive in self._axes.items():
             due_ns = drive.since_ns + STUCK_NS
@@ -110,7 +110,7 @@ class Drives:
                             yield int(group.rows[i]), int(group.t_ns[i]), pdo_map.node, axis, low, int(words[i])
 
     def _event(self, row: int, t_ns: int, node: int, axis: int, low: int, value: int) -> None:
-        drive = self._axes.setdefault((node, axis), _Axis())
+        drive = self._axes.setdefault((node, axis), _DriveAxis())
         if low == ERROR_CODE:
             if value:
                 clue = self.clues.begin("error_code", node, t_ns, f"603Fh: {error_text(value)}", row=row, subject=axis)
@@ -130,7 +130,7 @@ class Drives:
             self._status(row, t_ns, node, axis, drive, value)
         self._expect(row, t_ns, node, axis, drive)
 
-    def _status(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis, value: int) -> None:
+    def _status(self, row: int, t_ns: int, node: int, axis: int, drive: _DriveAxis, value: int) -> None:
         state = int(STATE_OF_STATUSWORD[value & 0x7F])
         before, drive.state = drive.state, state
         if state == before or state < 0:
@@ -161,7 +161,7 @@ class Drives:
         elif state == enabled:
             self.clues.end("left_enabled", node, t_ns, "it is in Operation Enabled again", subject=axis)
 
-    def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _Axis) -> None:
+    def _expect(self, row: int, t_ns: int, node: int, axis: int, drive: _DriveAxis) -> None:
         """Store the time since which a transition of the drive is due."""
         moves = False
         if drive.control >= 0 and drive.state >= 0 and drive.state not in FAULTS:

@@ -49,7 +49,7 @@ class DriveValues:
         self._modes: dict[tuple[int, int], int] = {}  # last displayed
         self._wishes: dict[tuple[int, int], tuple[int, int]] = {}  # mode of the RPDO, and its time
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for group, pdo_map in self._pdos(block, "rpdo"):
             for axis, field in pdo_map.find(MODE):

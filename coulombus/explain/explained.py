@@ -23,13 +23,11 @@ from coulombus.explain.identifier_table import IdentifierRow, Identifiers
 from coulombus.explain.incident_words import KINDS
 from coulombus.explain.incidents import Incident, join
 from coulombus.explain.lengths import Lengths
+from coulombus.explain.log_stamps import OF_TIMES, StampBatches, StraightTimes
 from coulombus.explain.nmt_orders import Orders
 from coulombus.explain.node_summary import NodeSummary, summary_of
-from coulombus.explain.pdo_timers import PdoTimers
-from coulombus.explain.pdo_timing import PdoTiming
+from coulombus.explain.pdo_timing import PdoTimers, PdoTiming
 from coulombus.explain.rare import RareFrames
-from coulombus.explain.stamp_batches import OF_TIMES, StampBatches
-from coulombus.explain.straight_times import StraightTimes
 from coulombus.explain.sync_timing import SyncTiming
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.captures import captures_of_bus
@@ -112,7 +110,7 @@ class Explainer:
         self._recent: list[Block] = []
         self._late: list[tuple[int, str]] = []
 
-    def take(
+    def add_frames(
         self,
         frames: Records,
         comments: Iterable[tuple[int, str]] = (),
@@ -132,12 +130,12 @@ class Explainer:
         for start in range(0, max(len(inner), 1), BLOCK):
             self._block(whole.part(start, min(start + BLOCK, len(inner))))
 
-    def look(self, now_ns: int = -1) -> None:
+    def note_overdue(self, now_ns: int = -1) -> None:
         """Note overdue events at the last frame, or at a later time [ns] up to which all frames were taken."""
         t_ns = max(self.bus.last_ns, now_ns)
-        self._rare.look(None, t_ns)
+        self._rare.note_overdue(None, t_ns)
         for observer in (self._disturbances, self._services, self._drives, self._sync, self._pdos):
-            observer.look(t_ns)
+            observer.note_overdue(t_ns)
 
     def end(self) -> None:
         """Process the remaining markers and error frames."""
@@ -145,7 +143,7 @@ class Explainer:
         for t_ns, text in self._late:
             if self._is_in_span(np.array([t_ns])).all():
                 self._host.mark(t_ns, text, self.bus.frames - 1)
-        self.look()
+        self.note_overdue()
 
     def explanation(self, remarks: Sequence[str] = ()) -> Explanation:
         """Return the explanation so far; `remarks`: those of the log's reader."""
@@ -204,11 +202,11 @@ class Explainer:
         return inside
 
     def _block(self, block: Block) -> None:
-        self.bus.take(block)
+        self.bus.add_frames(block)
         for part in self._rare.parts(block):
             self.bus.doubt(part)
             for observer in self._others:
-                observer.take(part)
+                observer.add_frames(part)
         self._keep(block)
 
     def _keep(self, block: Block) -> None:
@@ -341,7 +339,7 @@ def explain(
         if explainer is None:
             known_bus = KnownBus(rig or attached_rig(capture, remarks), eds or EdsFiles())
             explainer = Explainer(known_bus, span, capture.origin_ns)
-        explainer.take(capture.frames, capture.comments, capture.inside, capture.late)
+        explainer.add_frames(capture.frames, capture.comments, capture.inside, capture.late)
         first_ns = int(capture.frames["t_ns"][0]) if first_ns < 0 and len(capture.frames) else first_ns
         last_ns = int(capture.frames["t_ns"][-1]) if len(capture.frames) else last_ns
     assert explainer is not None  # a log without a frame is refused

@@ -93,7 +93,7 @@ class Block:
             for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
         }
 
-    def of(self, *keys: int) -> Iterator[tuple[int, int, int, int, int]]:
+    def merged(self, *keys: int) -> Iterator[tuple[int, int, int, int, int]]:
         """Yield (row, t_ns, key, word, length) of these groups' frames, in the file's order."""
         groups = [(key, self.groups[key]) for key in keys if key in self.groups]
         if not groups:

@@ -46,7 +46,7 @@ class HostMarkers:
             recent = np.concatenate((self._inside, heads))
             self._inside = recent[recent["t_ns"] > recent["t_ns"][-1] - KEPT_NS]
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for row, text in block.comments:
             at = min(row, len(block.t_ns) - 1)

@@ -68,7 +68,7 @@ class Identifiers:
     def __init__(self) -> None:
         self._seen: dict[int, list[int]] = {}  # frames, first and last time
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for key, group in block.groups.items():
             if key < REMOTE:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["CABLE", "MANUAL", "ONE_ID", "TERMINATION", "Kind"]
+__all__ = ["CABLE", "MANUAL", "ONE_ID", "TERMINATION", "IncidentKind"]
 
 
-class Kind(NamedTuple):
+class IncidentKind(NamedTuple):
     """A kind of clue; `checks` are three steps, the cheapest first."""
 
     rank: int

@@ -184,7 +184,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
     """Return the incidents, the most important first, numbered from 1."""
     incidents: list[Incident] = []
     relevant = [clue for clue in clues if clue.kind not in OFTEN or clue.count >= FEW]
-    for clue in sorted(relevant, key=_order):
+    for clue in sorted(relevant, key=_sort_key):
         parents = [incident for incident in incidents if _explains(incident, clue)]
         if parents:
             max(parents, key=lambda incident: _nearness(incident, clue)).clues.append(clue)
@@ -197,7 +197,7 @@ def join(clues: Iterable[Clue]) -> list[Incident]:
     )
     for number, incident in enumerate(incidents, 1):
         incident.number = number
-        incident.clues.sort(key=lambda clue: (clue.begin_ns, *_order(clue)))
+        incident.clues.sort(key=lambda clue: (clue.begin_ns, *_sort_key(clue)))
     return incidents
 
 
@@ -216,7 +216,7 @@ def _merged(incidents: list[Incident]) -> Iterator[Incident]:
             yield incident
 
 
-def _order(clue: Clue) -> tuple[bool, int, int, str, int, str]:
+def _sort_key(clue: Clue) -> tuple[bool, int, int, str, int, str]:
     """Sort key: clues about all nodes first, then by time, because a cause may be seen after its consequence."""
     lead = TOLERANCE_NS if clue.kind in BUS_WIDE or clue.kind in GONE else 0
     lead = PROMPT_NS if clue.kind == "host_trip" else lead

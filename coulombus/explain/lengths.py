@@ -21,7 +21,7 @@ class Lengths:
         self._last: dict[int, int] = {}
         self._fits: dict[int, bool] = {}
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         for key, group in block.groups.items():
             pdo_map = self.bus.maps.get(key)

@@ -31,22 +31,22 @@ def same_incident(incident: Incident) -> tuple[str, int | None, int]:
 class Followed:
     """Detects new incidents and changes of state."""
 
-    def __init__(self, tell: Callable[[Explanation, Incident], None]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[Explanation, Incident], None]) -> None:
+        self._report = report
         self._known: dict[tuple[str, int | None, int], str] = {}
 
-    def look(self, explanation: Explanation) -> None:
+    def report_changes(self, explanation: Explanation) -> None:
         """Report the changes."""
         for incident in explanation.incidents:
             key = same_incident(incident)
             if self._known.get(key) != incident.status:
                 self._known[key] = incident.status
-                self._tell(explanation, incident)
+                self._report(explanation, incident)
 
 
 def explain_bus(
     address: BusAddress,
-    tell: Callable[[Explanation, Incident], None],
+    report: Callable[[Explanation, Incident], None],
     *,
     known: KnownBus,
     seconds: float | None = None,
@@ -57,7 +57,7 @@ def explain_bus(
     ----------
     address
         The bus.
-    tell
+    report
         Called with each new incident, and when its state changes.
     known
         Names and PDO maps of a rig, and EDS files.
@@ -69,20 +69,20 @@ def explain_bus(
     coulombus.wire.address.BusUnavailable
         There is no bus, or it closed meanwhile.
     """
-    explainer, followed = Explainer(known), Followed(tell)
+    explainer, followed = Explainer(known), Followed(report)
     end = None if seconds is None else time.monotonic() + seconds
-    looked = 0.0
+    reported = 0.0
     with open_bus(address, Hello(Flags.LISTEN_ONLY)) as client, StopSignals() as stop:
         while not stop.wait(0) and (end is None or time.monotonic() < end):
             client.wait(WAIT_S)
             while received := client.receive():
-                explainer.take(Block.from_frames(received).records)
+                explainer.add_frames(Block.from_frames(received).records)
             now = time.monotonic()
-            if now - looked > LOOK_S:
-                looked = now
-                explainer.look(time.time_ns() - LATE_NS)
-                followed.look(explainer.explanation())
+            if now - reported > LOOK_S:
+                reported = now
+                explainer.note_overdue(time.time_ns() - LATE_NS)
+                followed.report_changes(explainer.explanation())
     explainer.end()
     explanation = explainer.explanation()
-    followed.look(explanation)
+    followed.report_changes(explanation)
     return explanation

@@ -39,7 +39,7 @@ class Orders:
         self._told: set[tuple[int, int]] = set()
         """Nodes that nobody starts, and since when they are PRE-OPERATIONAL [ns]."""
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         orders, self._seen = self.bus.orders[self._seen :], len(self.bus.orders)
         set_points = self._set_points(block)

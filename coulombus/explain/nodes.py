@@ -63,7 +63,7 @@ class Nodes:
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a frame of NMT, heartbeat, guarding or EMCY."""
         if key == NMT:
-            self._order(row, t_ns, word, length)
+            self._nmt_command(row, t_ns, word, length)
         elif key == CobId.LSS_RX:
             if word & 0xFF == LssService.CONFIGURE_NODE_ID:
                 self._ids[word >> 8 & 0xFF] = t_ns
@@ -115,7 +115,7 @@ class Nodes:
             text = f"its heartbeats do not come, its other frames do: {self._due_text(node)}"
             self.clues.begin("heartbeat_lost", number, t_ns, text, row=node.heartbeat_row, due_ns=t_ns)
 
-    def look(self, block: Block | None, t_ns: int) -> None:
+    def note_overdue(self, block: Block | None, t_ns: int) -> None:
         """Note what became overdue before a time [ns], in the order in which it did."""
         if self.bus.beats_changed:
             self.bus.beats_changed = False
@@ -224,7 +224,7 @@ class Nodes:
         left = [self.bus.left_on_order(n, until_ns) for n in others]
         return bool(left) and all(left) and started and self.bus.is_host(node.number, until_ns)
 
-    def _order(self, row: int, t_ns: int, word: int, length: int) -> None:
+    def _nmt_command(self, row: int, t_ns: int, word: int, length: int) -> None:
         if length != 2 or word & 0xFF not in list(NmtCommand):
             return
         self.bus.canopen += 1

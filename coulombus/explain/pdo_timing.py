@@ -1,4 +1,4 @@
-"""Timing of PDOs: after SYNC, or by their own period; frames in excess."""
+"""Timing of PDOs: after SYNC, by their own period, or by their timers; frames in excess."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
 from coulombus.explain.sync_intervals import ENDING_NS, EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
 from coulombus.recording.maps.seen_maps import Map
 
-__all__ = ["PdoTiming"]
+__all__ = ["PdoTimers", "PdoTiming"]
 
 SHORT = 0.5
 """Interval, in periods, between two SYNCs in which a PDO need not come."""
 TIMED = 15
 """Intervals of which the own period of a PDO is learned."""
 STOPPED = 5
-"""Own periods after which a PDO has stopped."""
+"""Own periods, or event timer periods, after which a PDO has stopped and is not late."""
+LATE, SOON = 1.5, 0.75
+"""Factors of the event timer and of the inhibit time, with a margin for waiting for the bus."""
 RESTS = 3
 """Stops after which a PDO whose contents were never repeated is event-driven: what it tells of moves and rests."""
 EVEN_NS = 10_000_000_000
@@ -44,7 +46,7 @@ class PdoTiming:
         self._since_ns = bus.sync_since_ns  # with which its period was learned
         self._intervals = SyncIntervals(bus)
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         if len(block.t_ns) == 0:
             return
@@ -72,7 +74,7 @@ class PdoTiming:
                 self._group(pdo, group, edges)
         if len(edges):
             self._sync_ns = int(edges[-1])
-        self.look(int(block.t_ns[-1]))
+        self.note_overdue(int(block.t_ns[-1]))
 
     def _edges(self, sync_ns: Integers) -> Integers:
         """Return the SYNCs but those that follow too soon: no PDO need come between them."""
@@ -81,7 +83,7 @@ class PdoTiming:
         edges: Integers = sync_ns[gaps >= SHORT * self.bus.sync_period_ns]
         return edges
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note stops that are overdue at a time [ns]."""
         for pdo in self._pdos.values():
             if pdo.held is not None:
@@ -113,7 +115,7 @@ class PdoTiming:
         if is_pdo and not pdo.babbles:
             self._repeated(pdo, stamps, rows, gaps, equal)
         if is_pdo and pdo.synchronous is not False and len(edges) and self.bus.sync_period_ns:
-            self._intervals.take(pdo, group, stamps, edges, equal)
+            self._intervals.add_pdo(pdo, group, stamps, edges, equal)
         if len(group):
             if is_pdo:
                 self._own_period(pdo, group, stamps, gaps, equal)
@@ -238,3 +240,40 @@ class PdoTiming:
             return f"{pdo.name} came twice, the second one {gaps[twice[i]] / 1000:.0f} us behind the first"
 
         self.clues.series("repeated", pdo.node, stamps[twice + 1], rows[twice], text, subject=pdo.key)
+
+
+class PdoTimers:
+    """Compares the intervals of event-driven TPDOs with their timers (CiA 301, 7.5.2.37: 1800h:03 and :05)."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus, self.clues = bus, bus.clues
+        self._last_ns: dict[int, int] = {}
+
+    def add_frames(self, block: Block) -> None:
+        """Process a block."""
+        for key, group in block.groups.items():
+            pdo_map = self.bus.maps.get(key)
+            if pdo_map is None or pdo_map.synchronous or not (pdo_map.event_ns or pdo_map.inhibit_ns):
+                continue
+            self._hold(key, group, pdo_map)
+            self._last_ns[key] = int(group.t_ns[-1])
+
+    def _hold(self, key: int, group: Frames, pdo_map: Map) -> None:
+        before = self._last_ns.get(key)
+        stamps = group.t_ns if before is None else np.concatenate(([before], group.t_ns))
+        gaps, first = np.diff(stamps), len(stamps) - len(group)
+        soon = gaps < SOON * pdo_map.inhibit_ns
+        late = (gaps > LATE * pdo_map.event_ns) & (gaps < STOPPED * pdo_map.event_ns) & (pdo_map.event_ns > 0)
+        for kind, which, limit in (("inhibit_time", soon, pdo_map.inhibit_ns), ("event_timer", late, pdo_map.event_ns)):
+            places = np.flatnonzero(which)
+            setting = "inhibit time"
+            if kind == "event_timer":
+                setting = "event timer"
+                ordered = [self.bus.ordered(pdo_map.node, *stamps[i : i + 2].tolist()) is not None for i in places]
+                places = places[~np.array(ordered, bool)]
+
+            def text(i: int, at: Integers = places, limit_ms: float = limit / MS, setting: str = setting) -> str:
+                return f"{pdo_map.name} comes after {gaps[at[i]] / MS:.1f} ms; its {setting} is {limit_ms:g} ms"
+
+            rows = group.rows[np.maximum(places + 1 - first, 0)]
+            self.clues.series(kind, pdo_map.node, stamps[places + 1], rows, text, subject=key)

@@ -28,12 +28,12 @@ class RareFrames:
         keys = tuple(self._keys(block))
         self.nodes.begin(block)
         start, before = 0, -1
-        for row, t_ns, key, word, length in block.of(*keys):
+        for row, t_ns, key, word, length in block.merged(*keys):
             if self.bus.stale and 0 <= before < row - 1:  # other frames stand between
                 yield block.part(start, before + 1 - block.first_row)
                 self.bus.renew()
                 start = before + 1 - block.first_row
-            self.look(block, t_ns)
+            self.note_overdue(block, t_ns)
             if SDO_TX < key <= SDO_RX + 0x7F:
                 self.sdo.frame(row, t_ns, key, word, length)
             else:
@@ -44,15 +44,15 @@ class RareFrames:
             self.bus.renew()
             start = before + 1 - block.first_row
         if len(block.t_ns):
-            self.look(block, int(block.t_ns[-1]))
+            self.note_overdue(block, int(block.t_ns[-1]))
         self.nodes.end(block)
         self.bus.renew()
         yield block.part(start, len(block.t_ns))
 
-    def look(self, block: Block | None, t_ns: int) -> None:
+    def note_overdue(self, block: Block | None, t_ns: int) -> None:
         """Note what became overdue before a time [ns]; `block`: the frames of that time, if they are not yet processed."""
-        self.nodes.look(block, t_ns)
-        self.sdo.look(t_ns)
+        self.nodes.note_overdue(block, t_ns)
+        self.sdo.note_overdue(t_ns)
 
     def _keys(self, block: Block) -> Iterator[int]:
         for key in block.groups:

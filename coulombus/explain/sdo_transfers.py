@@ -136,7 +136,7 @@ class SdoTransfers:
         elif from_server and server.answered is not None and (server.running is None or remark == NO_BEGINNING):
             self._stray(row, t_ns, number, server, f"{phase[:1].lower()}{phase[1:]}")
         if are_wrong(remark):
-            self._wrong(row, t_ns, number, server, remark)
+            self._wrong_data(row, t_ns, number, server, remark)
         if server.running is not None and server.channel.transfer is None:
             if not server.running.has_wrong_data:
                 self._done(t_ns, number, server.running)
@@ -145,7 +145,7 @@ class SdoTransfers:
         if server.running is not None:
             self._next_ns = min(self._next_ns, t_ns + IDLE_NS)
 
-    def look(self, t_ns: int) -> None:
+    def note_overdue(self, t_ns: int) -> None:
         """Note responses overdue at a time."""
         if t_ns <= self._next_ns:
             return
@@ -239,7 +239,7 @@ class SdoTransfers:
             size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
             request.value = int.from_bytes(data[4 : 4 + size], "little")
         if request.value is not None:
-            self._objects.take(row, t_ns, number, request.at, request.value, writes=request.writes)
+            self._objects.add(row, t_ns, number, request.at, request.value, writes=request.writes)
         self._done(t_ns, number, request)
 
     def _answered(self, t_ns: int, number: int, server: _Server, request: _Request, data: bytes) -> None:
@@ -395,7 +395,7 @@ class SdoTransfers:
         clue.who = "client" if server.last_by_server and server.kind != "block" else "node"
         server.running = None
 
-    def _wrong(self, row: int, t_ns: int, number: int, server: _Server, remark: str) -> None:
+    def _wrong_data(self, row: int, t_ns: int, number: int, server: _Server, remark: str) -> None:
         """Note a transfer whose size or CRC is wrong."""
         request = server.running or server.answered
         if request is None:

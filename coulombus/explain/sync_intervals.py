@@ -125,7 +125,7 @@ class SyncIntervals:
         self.floods: list[list[int]] = []
         """Times [ns] in which an identifier floods the bus, and those after it: frames of two cycles come in one."""
 
-    def take(self, pdo: SeenPdo, group: Frames, stamps: Integers, edges: Integers, equal: Flags) -> None:
+    def add_pdo(self, pdo: SeenPdo, group: Frames, stamps: Integers, edges: Integers, equal: Flags) -> None:
         """Count a PDO's frames in each SYNC interval that is complete; `stamps` begins with its frame before this block."""
         pdo.spans = [[-1, NEVER]] if pdo.regular else []
         place = np.searchsorted(edges, group.t_ns, "right") - 1

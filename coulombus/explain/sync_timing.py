@@ -30,7 +30,7 @@ TWICE_NS = MS
 
 
 @dataclass
-class _Stop:
+class _SyncStop:
     """A stop of SYNC: its last stamp and row; `kind` of its clue, "" while none is due."""
 
     t_ns: int
@@ -54,7 +54,7 @@ class SyncTiming:
         """Begin to learn the period."""
         self.bus.sync_period_ns, self.bus.sync_since_ns, self.bus.relearn_sync = 0, NEVER, False
         self._learned: list[int] = []
-        self._stop: _Stop | None = None  # since the last SYNC
+        self._stop: _SyncStop | None = None  # since the last SYNC
         self._uneven = Rolling(WINDOW)
         self._worst_ns = 0  # largest deviation from the period so far
         self._lead_ns = 0  # time by which the SYNCs so far lead their period
@@ -65,7 +65,7 @@ class SyncTiming:
         self._close: tuple[int, int] | None = None  # time and row of the first SYNC of a series that follow too soon
         self._close_ns = self._close_number = -1  # time and interval of the last one
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process a block."""
         if len(block.t_ns):
             self._process(block)
@@ -77,7 +77,7 @@ class SyncTiming:
     def _process(self, block: Block) -> None:
         sync = block.groups.get(SYNC)
         if sync is None:
-            self.look(int(block.t_ns[-1]), block)
+            self.note_overdue(int(block.t_ns[-1]), block)
             self._heard_ns = int(block.t_ns[-1])
             return
         stop = self._stop
@@ -95,17 +95,17 @@ class SyncTiming:
             self._intervals(
                 block, stamps[skipped:], rows[skipped:], gaps[skipped:], self._stop if skipped == 0 else None
             )
-        self._stop = _Stop(int(sync.t_ns[-1]), int(sync.rows[-1]))
+        self._stop = _SyncStop(int(sync.t_ns[-1]), int(sync.rows[-1]))
         self.bus.sync_ns = self._stop.t_ns
-        self.look(int(block.t_ns[-1]), block)
+        self.note_overdue(int(block.t_ns[-1]), block)
         self._heard_ns = int(block.t_ns[-1])
 
-    def look(self, t_ns: int, block: Block | None = None) -> None:
+    def note_overdue(self, t_ns: int, block: Block | None = None) -> None:
         """Note a stop of SYNC that is overdue at a time [ns]; `block`: the frames until then, if they are new."""
         if self._stop is not None and self.bus.sync_period_ns:
             self._follow(block, self._stop, t_ns)
 
-    def _follow(self, block: Block | None, stop: _Stop, t_ns: int) -> None:
+    def _follow(self, block: Block | None, stop: _SyncStop, t_ns: int) -> None:
         """Note what is known of a stop of SYNC at a time [ns]: the order, the stop, the silence of all, its end."""
         due_ns = self._due_ns(stop.t_ns)
         if not stop.kind and t_ns > due_ns:
@@ -130,7 +130,7 @@ class SyncTiming:
                 stop.kind = "sync_lost"
                 self._begin(stop, stop.t_ns, "SYNC does not come again")
 
-    def _begin(self, stop: _Stop, t_ns: int, text: str) -> None:
+    def _begin(self, stop: _SyncStop, t_ns: int, text: str) -> None:
         period = self.bus.sync_period_ns
         text += f": it came every {period / MS:g} ms" if stop.kind == "sync_lost" else ""
         producer = next((n for n, node in self.bus.nodes.items() if node.produces_sync), None)
@@ -164,11 +164,11 @@ class SyncTiming:
         return bool(nodes) and not at_work
 
     def _intervals(
-        self, block: Block, stamps: Integers, rows: Integers, gaps: Integers, open_stop: _Stop | None
+        self, block: Block, stamps: Integers, rows: Integers, gaps: Integers, open_stop: _SyncStop | None
     ) -> None:
         period = self.bus.sync_period_ns
         for i in np.flatnonzero(gaps > LATE * period).tolist():
-            stop = open_stop if i == 0 and open_stop is not None else _Stop(int(stamps[i]), int(rows[i]))
+            stop = open_stop if i == 0 and open_stop is not None else _SyncStop(int(stamps[i]), int(rows[i]))
             self._gap(block, stop, int(stamps[i + 1]))
         self._second_producer(stamps[1:], rows[1:], gaps)
         deviates = np.abs(gaps - period) > UNEVEN * period
@@ -185,7 +185,7 @@ class SyncTiming:
 
         self.clues.series("sync_jitter", None, stamps[1:][often], rows[1:][often], text)
 
-    def _gap(self, block: Block, stop: _Stop, end: int) -> None:
+    def _gap(self, block: Block, stop: _SyncStop, end: int) -> None:
         """Process an interval that is too long."""
         begin, row = stop.t_ns, stop.row
         self._follow(block, stop, end)

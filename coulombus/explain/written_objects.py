@@ -43,7 +43,7 @@ class WrittenObjects:
         self.bus, self.clues = bus, bus.clues
         self._written: dict[tuple[int, tuple[int, int]], int] = {}
 
-    def take(self, row: int, t_ns: int, number: int, at: tuple[int, int], value: int, *, writes: bool) -> None:
+    def add(self, row: int, t_ns: int, number: int, at: tuple[int, int], value: int, *, writes: bool) -> None:
         """Process a value that a confirmed transfer of an object had."""
         node = self.bus.node(number, t_ns)
         shown = _Value(row, t_ns, node, at, value, writes)

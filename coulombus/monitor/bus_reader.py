@@ -22,10 +22,10 @@ ASK_S = 1.0
 class BusView(Protocol):
     """What gets the frames."""
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process received frames."""
 
-    def tell(self, t_ns: int, text: str, *, grave: bool) -> None:
+    def add_event(self, t_ns: int, text: str, *, grave: bool) -> None:
         """Note an event of the bus."""
 
 
@@ -70,10 +70,10 @@ class BusReader(ViewThread):
             self._receive()
         block = Block.joined(self._waiting)
         self._waiting = []
-        self._view.take(block)
+        self._view.add_frames(block)
         self.until_ns = now_ns
         if self._incidents is not None:
-            self._incidents.take(block)
+            self._incidents.add_frames(block)
 
     def _receive(self) -> None:
         """Keep what the socket has, and ask the bus for its state once a second."""
@@ -87,7 +87,7 @@ class BusReader(ViewThread):
         except BusDown as error:  # read on: frames may come again at once
             if now >= self._quiet_until_s:
                 self._quiet_until_s = now + ASK_S
-                self._view.tell(time.time_ns(), str(error), grave=True)
+                self._view.add_event(time.time_ns(), str(error), grave=True)
         except BusFull:
             pass  # a failure to read shows as silence of all nodes
         except OSError as error:

@@ -47,7 +47,7 @@ class Callback:
         """Stop calling the function."""
         self._ended = True
 
-    def _take(self, t_s: float, pdo: RigPdo, places: tuple[int, ...], word: int) -> None:
+    def _deliver(self, t_s: float, pdo: RigPdo, places: tuple[int, ...], word: int) -> None:
         for place in places:
             value = pdo.value(place, word)
             self._newest[pdo.signals[place].name] = value if math.isfinite(value) else math.nan
@@ -75,7 +75,7 @@ class LiveBus:
         self._client = client
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
         self.malformed: dict[str, int] = {}
-        self._told_lost = False
+        self._has_warned = False
         self._callbacks: tuple[Callback, ...] = ()
         self._wanting: dict[int, list[tuple[Callback, tuple[int, ...]]]] = {}
         """By identifier: who wants signals of this PDO, and their places in it."""
@@ -160,44 +160,44 @@ class LiveBus:
                     client.wait(WAIT_S)
                     while not self._stop.is_set() and (frames := client.receive()):
                         for t_ns, can_id, length, data in frames:
-                            self._take(t_ns, can_id, length, data)
+                            self._process(t_ns, can_id, length, data)
                         if time.monotonic() - last_question_s > ASK_S:
                             break
                     if time.monotonic() - last_question_s > ASK_S:
                         last_question_s = time.monotonic()
                         client.ask()
-                    self._tell_lost()
+                    self._warn_of_losses()
                 except (BusDown, BusFull):
                     self._stop.wait(WAIT_S)
                 except OSError as error:
                     self._failure = error
                     return
 
-    def _tell_lost(self) -> None:
-        if self.lost and not self._told_lost:
-            self._told_lost = True
+    def _warn_of_losses(self) -> None:
+        if self.lost and not self._has_warned:
+            self._has_warned = True
             text = "%s: %d frames were lost: the call-backs are slower than the bus; reported once, then counted"
             logger.warning(text, self._client.address, self.lost)
 
-    def _tell_malformed(self, pdo: RigPdo, length: int) -> None:
+    def _count_malformed(self, pdo: RigPdo, length: int) -> None:
         name = f"{pdo.node}.{pdo.name}"
         self.malformed[name] = self.malformed.get(name, 0) + 1
         if self.malformed[name] == 1:
             text = "%s came with %d bytes, the rig has %d: is this the rig of this bus? reported once, then counted"
             logger.warning(text, name, length, pdo.layout.length)
 
-    def _take(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:
+    def _process(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:
         pdo = self._pdos.get(can_id)
         if pdo is None:
             return
         if pdo.layout.length != length:
-            self._tell_malformed(pdo, length)
+            self._count_malformed(pdo, length)
             return
         word = int.from_bytes(data, "little")
         for callback, places in self._wanting.get(can_id, ()):
             if self._stop.is_set():
                 return
-            callback._take(t_ns / 1e9, pdo, places, word)
+            callback._deliver(t_ns / 1e9, pdo, places, word)
 
 
 def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str | None = None) -> LiveBus:

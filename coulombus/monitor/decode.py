@@ -216,7 +216,7 @@ class BareDecoder:
         maps, pdos = self._maps, self._pdos
         for start in range(0, len(frames), LEARNED):
             part = frames[start : start + LEARNED]
-            if maps.take(part):
+            if maps.add_frames(part):
                 pdos.clear()
             columns = ((part["t_ns"] - epoch_ns) / 1e9, part["can_id"], part["length"], part["word"])
             for t_s, can_id, length, word in zip(*(c.tolist() for c in columns), strict=True):

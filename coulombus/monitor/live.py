@@ -1,6 +1,6 @@
 """Present state of a bus: last value of every PDO, rates, ages, the nodes' states, and events.
 
-`Live.take` only stores frames, so a reader keeps up with a full bus; NumPy counts and decodes them
+`Live.add_frames` only stores frames, so a reader keeps up with a full bus; NumPy counts and decodes them
 when a snapshot is requested (`Live.snapshot`). Time is an argument: nanoseconds since 1970, as the
 frames' stamps.
 """
@@ -48,7 +48,7 @@ TOGETHER = 20_000
 
 
 @dataclass
-class _Line:
+class _IdentifierFrames:
     """Frames of one identifier."""
 
     length: int = -1  # expected, -1: any
@@ -75,7 +75,7 @@ class _Node:
     known: bool = True
     services: int = 0
     """Number of its frames other than those with a line."""
-    heartbeat: _Line = field(default_factory=_Line)
+    heartbeat: _IdentifierFrames = field(default_factory=_IdentifierFrames)
     sdo: SdoChannel = field(default_factory=lambda: SdoChannel(None))
 
 
@@ -94,8 +94,8 @@ class Live:
         rig = self.rig = bus.rig
         self._learned = LogMaps(bus.eds) if rig is None or assumed else None
         self._pdos: tuple[RigPdo, ...] = () if rig is None else rig.pdos()
-        self._lines: dict[int, _Line] = {}
-        self._sync = self._lines[CobId.SYNC] = _Line()
+        self._lines: dict[int, _IdentifierFrames] = {}
+        self._sync = self._lines[CobId.SYNC] = _IdentifierFrames()
         self._nodes: list[_Node] = []
         if rig is not None:
             self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
@@ -118,7 +118,7 @@ class Live:
     def _arrange(self) -> None:
         """Set the line, the sender and the statusword of each PDO."""
         for pdo in self._pdos:
-            line = self._lines.setdefault(pdo.layout.cob_id, _Line())
+            line = self._lines.setdefault(pdo.layout.cob_id, _IdentifierFrames())
             line.length = pdo.layout.length if pdo.layout.entries else -1
         tpdos = [pdo for pdo in self._pdos if pdo.layout.direction == "tpdo"]
         self._sends = {n.node_id: [p.layout.cob_id for p in tpdos if p.node_id == n.node_id] for n in self._nodes}
@@ -134,10 +134,10 @@ class Live:
 
     def _learn(self, block: Block) -> None:
         """Learn PDOs; without a rig these are shown."""
-        if self._learned is not None and self._learned.take(block.records) and self.rig is None:
-            self._take_learned(self._learned.received_pdos())
+        if self._learned is not None and self._learned.add_frames(block.records) and self.rig is None:
+            self._show_learned(self._learned.received_pdos())
 
-    def _take_learned(self, pdos: tuple[RigPdo, ...]) -> None:
+    def _show_learned(self, pdos: tuple[RigPdo, ...]) -> None:
         self._pdos = pdos
         for pdo in pdos:
             if pdo.layout.direction == "tpdo" and pdo.node_id not in self._by_id:
@@ -165,9 +165,9 @@ class Live:
         for node in self._nodes:
             node.name, node.timeout_ns, node.known = str(node.node_id), NEVER_NS, True
         self._by_id, self._emergencies = {node.node_id: node for node in self._nodes}, {}
-        self._take_learned(self._learned.received_pdos())
+        self._show_learned(self._learned.received_pdos())
 
-    def take(self, received: Block | Sequence[Received]) -> None:
+    def add_frames(self, received: Block | Sequence[Received]) -> None:
         """Add frames; no content raises.
 
         They are processed together, on a snapshot or when there are `TOGETHER`.
@@ -200,7 +200,7 @@ class Live:
                 self._other(t_ns, can_id, data[:length])
         self._events[before:] = sorted(self._events[before:], key=itemgetter(0))
 
-    def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
+    def _take_line(self, line: _IdentifierFrames, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
         """Process the rows of a block that belong to one line."""
         if line.length != -1:
             right = block.lengths[rows] == line.length
@@ -232,7 +232,7 @@ class Live:
                 self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
         line.data, line.last_length = block.data(rows[-1]), int(block.lengths[rows[-1]])
 
-    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+    def add_event(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Add an event detected elsewhere, such as a closed bus, after those of the frames so far."""
         self._catch_up()
         self._note(t_ns, text, grave)

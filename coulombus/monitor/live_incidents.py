@@ -49,7 +49,7 @@ class IncidentRow:
 
 
 class LiveIncidents:
-    """Processes frames once; `look` returns the incidents.
+    """Processes frames once; `update` returns the incidents.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ class LiveIncidents:
     def __init__(self, bus: KnownBus) -> None:
         self._explainer = Explainer(bus)
 
-    def take(self, block: Block) -> None:
+    def add_frames(self, block: Block) -> None:
         """Process frames."""
         if len(block):
-            self._explainer.take(block.records)
+            self._explainer.add_frames(block.records)
 
-    def look(self, now_ns: int) -> tuple[IncidentRow, ...]:
+    def update(self, now_ns: int) -> tuple[IncidentRow, ...]:
         """Return the incidents at a time [ns since 1970], the most important first."""
-        self._explainer.look(now_ns - LATE_NS)
+        self._explainer.note_overdue(now_ns - LATE_NS)
         return incident_rows(self._explainer.explanation())
 
 
@@ -97,7 +97,7 @@ class IncidentReader(ViewThread):
 
     Attributes
     ----------
-    rows : the incidents at the last look
+    rows : the incidents at the last update
     """
 
     def __init__(self, bus: KnownBus) -> None:
@@ -110,25 +110,25 @@ class IncidentReader(ViewThread):
         self._waiting: list[Block] = []
         self._frames = 0
 
-    def take(self, received: Block | Sequence[Received]) -> None:
-        """Store frames for the next look."""
+    def add_frames(self, received: Block | Sequence[Received]) -> None:
+        """Store frames for the next update."""
         block = received if isinstance(received, Block) else Block.from_frames(received)
         with self._lock:
             if self._frames < WAITING and not self.failure:
                 self._waiting.append(block)
                 self._frames += len(block)
 
-    def look(self, now_ns: int) -> None:
+    def update(self, now_ns: int) -> None:
         """Process pending frames, and update the incidents."""
         with self._lock:
             blocks, self._waiting, self._frames = self._waiting, [], 0
-        self._incidents.take(Block.joined(blocks))
-        self.rows = self._incidents.look(now_ns)
+        self._incidents.add_frames(Block.joined(blocks))
+        self.rows = self._incidents.update(now_ns)
 
     def _run(self) -> None:
         while not self.stop.wait(LOOK_S):
             try:
-                self.look(time.time_ns())
+                self.update(time.time_ns())
             except Exception as error:  # an unknown bus may have unforeseen content: the view goes on
                 self.failure = f"the search for incidents has ended: {type(error).__name__}: {error}"
                 return

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from coulombus.monitor.braille import drawn
 from coulombus.monitor.incident_lines import incident_dict, incident_lines
 from coulombus.monitor.live_incidents import IncidentRow
 from coulombus.monitor.snapshot import Event, HostLine, NodeRow, PdoRow, Snapshot, Value
 from coulombus.monitor.traces import WINDOW_S, Trace
 from coulombus.monitor.word_bits import WORDS, bits_set, meaning
 
-__all__ = ["Screen", "as_dict", "as_lines"]
+__all__ = ["Screen", "as_dict", "as_lines", "drawn"]
 
 LEAST_EVENTS = 3
 GAPS = 3
@@ -27,6 +29,10 @@ SCOPE_LINES = 5
 STALE_S = 0.1
 CHANGED = "bold reverse"
 HOST_STYLES = {"runs": "", "tripped": "red", "ended": "dim"}
+BLANK = 0x2800
+"""Unicode's first braille pattern; the others have a bit for each of the eight dots."""
+DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+"""The bit of each dot, by its row from above and its column."""
 
 
 def as_dict(
@@ -303,3 +309,37 @@ def _age(age_s: float | None) -> str:
     if age_s is None:
         return "-"
     return f"{age_s * 1e3:.0f} ms" if age_s < 10 else f"{age_s:.0f} s"
+
+
+def drawn(
+    low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], width: int, height: int
+) -> tuple[list[str], float, float]:
+    """Draw minima and maxima over time in braille patterns; return lines, and the values at the lower and upper edge.
+
+    Each column of dots is filled from its least to its greatest value, the newest at the right. NaN is blank.
+
+    Parameters
+    ----------
+    low, high : n values each, in any unit
+    width, height : of the picture, in characters
+    """
+    columns, rows = min(2 * width, len(low)), 4 * height
+    seen = np.isfinite(low) & np.isfinite(high)
+    if not columns or not seen.any():
+        return [" " * width] * height, 0.0, 0.0
+    least, greatest = float(low[seen].min()), float(high[seen].max())
+    span = (greatest - least) or 1.0
+    edges = np.linspace(0, len(low), columns + 1).astype(int)
+    cells = np.zeros((height, width), np.int64)
+    for column, (begin, end) in enumerate(pairwise(edges), 2 * width - columns):
+        right = seen[begin:end]
+        if not right.any():
+            continue
+        bottom, top = (
+            min(rows - 1, int((value - least) / span * rows))
+            for value in (low[begin:end][right].min(), high[begin:end][right].max())
+        )
+        for dot in range(bottom, top + 1):
+            row = rows - 1 - dot
+            cells[row // 4, column // 2] |= DOTS[row % 4][column % 2]
+    return ["".join(chr(BLANK + cell) if cell else " " for cell in line) for line in cells], least, greatest

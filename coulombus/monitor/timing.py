@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import PDO_NAMES, CobId
-from coulombus.monitor.time_counts import TimeCounts
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.maps.known_bus import KnownBus
@@ -28,12 +27,26 @@ from coulombus.wire.address import BusAddress
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.handshake import Flags, Hello
 
-__all__ = ["Spread", "Stamps", "Timing", "as_dict", "as_lines", "listen", "recorded", "recorded_bare", "timing"]
+__all__ = [
+    "Spread",
+    "Stamps",
+    "TimeCounts",
+    "Timing",
+    "as_dict",
+    "as_lines",
+    "listen",
+    "recorded",
+    "recorded_bare",
+    "timing",
+]
 
 Integers = npt.NDArray[np.int64]
+NONE = np.zeros(0, np.int64)
 WAIT_S = 0.1
 MOST_WAITING = 4096
 """Frames of a live bus that wait to be counted."""
+UNCOUNTED = 1 << 16
+"""Times that wait to be counted."""
 NAMES = {int(service): service.name for service in CobId}
 FUNCTION = 0x780
 NODE_SERVICES = {
@@ -49,6 +62,59 @@ MOST = 99_999.5
 """Largest number that has five characters."""
 
 
+class TimeCounts:
+    """How often each time [ns] came, for exact quantiles: a cycle's times repeat, or differ by its jitter."""
+
+    def __init__(self, times_ns: Integers = NONE, counts: Integers = NONE) -> None:
+        self._times, self._counts = times_ns, counts
+        self._waiting: list[Integers] = []
+        self._size = 0
+
+    def add(self, times_ns: Integers) -> None:
+        """Count times."""
+        self._waiting.append(times_ns)
+        self._size += len(times_ns)
+        if self._size >= UNCOUNTED:
+            self._count()
+
+    def _count(self) -> None:
+        times, counts = np.unique(np.concatenate([NONE, *self._waiting]), return_counts=True)
+        self._waiting, self._size = [], 0
+        self._times, places = np.unique(np.concatenate((self._times, times)), return_inverse=True)
+        sums = np.zeros(len(self._times), np.int64)
+        np.add.at(sums, places, np.concatenate((self._counts, counts)))
+        self._counts = sums
+
+    def __len__(self) -> int:
+        return int(self._counts.sum()) + self._size
+
+    def at(self, place: float) -> float:
+        """Return the time at a place of the sorted times, counted from 0, interpolated as `numpy.percentile` does."""
+        self._count()
+        ends = np.cumsum(self._counts)
+        begin = int(place)
+        rows = np.searchsorted(ends, [begin, min(begin + 1, int(ends[-1]) - 1)], "right")
+        low, high = self._times[rows].tolist()
+        share = place - begin
+        return float(low + (high - low) * share if share < 0.5 else high - (high - low) * (1 - share))
+
+    def percentiles(self, percents: Sequence[float]) -> list[float]:
+        """Return percentiles [ns]."""
+        return [self.at((len(self) - 1) * (percent / 100)) for percent in percents]
+
+    def median(self) -> float:
+        """Return the median [ns]; of an even number the mean of the middle two."""
+        middle = (len(self) - 1) // 2
+        return (self.at(middle) + self.at(len(self) // 2)) / 2
+
+    def distances(self, from_ns: float) -> TimeCounts:
+        """Return the distances from a time, in whole ns."""
+        self._count()
+        apart = TimeCounts(np.abs(self._times - from_ns).astype(np.int64), self._counts)
+        apart._count()
+        return apart
+
+
 @dataclass(frozen=True)
 class Spread:
     """Median, 99th percentile and maximum of times [us]."""
@@ -58,7 +124,7 @@ class Spread:
     max_us: float
 
     @classmethod
-    def of(cls, times_ns: TimeCounts) -> Spread | None:
+    def from_counts(cls, times_ns: TimeCounts) -> Spread | None:
         """Return the spread of the times; None without times."""
         if not len(times_ns):
             return None
@@ -84,7 +150,7 @@ class Timing:
 
 
 @dataclass
-class _Line:
+class _IdentifierStamps:
     """Stamps of one identifier: the first, the last, their number; intervals, and delays after the last SYNC."""
 
     first_ns: int
@@ -99,18 +165,18 @@ class Stamps:
 
     def __init__(self) -> None:
         self.source = "the recording's"
-        self._of: dict[int, _Line] = {}
+        self._by_id: dict[int, _IdentifierStamps] = {}
         self._sync_ns = np.zeros(0, np.int64)
         """The last SYNC so far, if any."""
         self._waiting: list[tuple[int, int]] = []
 
     @property
-    def of(self) -> Mapping[int, _Line]:
+    def by_id(self) -> Mapping[int, _IdentifierStamps]:
         """The stamps of each identifier."""
         self._flush()
-        return self._of
+        return self._by_id
 
-    def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
+    def add_frames(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Add frames of a live bus, as `wire.client.Client.receive` returns them."""
         self._waiting += [(t_ns, can_id) for t_ns, can_id, _, _ in received]
         if len(self._waiting) > MOST_WAITING:
@@ -120,16 +186,16 @@ class Stamps:
         if self._waiting:
             t_ns, can_ids = np.array(self._waiting, np.int64).T
             self._waiting = []
-            self.take_all(t_ns, can_ids)
+            self.add_stamps(t_ns, can_ids)
 
-    def take_all(self, t_ns: Integers, can_ids: Integers) -> None:
+    def add_stamps(self, t_ns: Integers, can_ids: Integers) -> None:
         """Add frames of a recording."""
         syncs = np.concatenate((self._sync_ns, t_ns[can_ids == CobId.SYNC]))
         self._sync_ns = syncs[-1:]
         for can_id in np.unique(can_ids).tolist():
             if not can_id & CAN_ERR_FLAG:
                 times = t_ns[can_ids == can_id]
-                line = self._of.setdefault(can_id, _Line(int(times[0]), int(times[0])))
+                line = self._by_id.setdefault(can_id, _IdentifierStamps(int(times[0]), int(times[0])))
                 line.gaps.add(np.diff(times, prepend=line.last_ns)[0 if line.frames else 1 :])
                 line.delays.add(_delays(times, syncs))
                 line.frames += len(times)
@@ -151,11 +217,11 @@ def listen(address: BusAddress, seconds: float) -> tuple[Stamps, int]:
         while (left := end - time.monotonic()) > 0 and not stop.wait(0):
             client.wait(min(left, WAIT_S))
             while frames := client.receive():
-                stamps.take(frames)
+                stamps.add_frames(frames)
         client.ask()
         client.wait(WAIT_S)
         while frames := client.receive():
-            stamps.take(frames)
+            stamps.add_frames(frames)
         stamps.source = client.stamps
         return stamps, client.lost
 
@@ -168,7 +234,7 @@ def recorded(source: Source) -> dict[str, Stamps]:
         t_ns, can_ids = block.frames["t_ns"].astype(np.int64), block.frames["can_id"].astype(np.int64)
         for channel in channels:
             on_channel = block.capture.frames_on(channel)
-            stamps[channel].take_all(t_ns[on_channel], can_ids[on_channel])
+            stamps[channel].add_stamps(t_ns[on_channel], can_ids[on_channel])
     return stamps
 
 
@@ -185,8 +251,8 @@ def recorded_bare(path: Path, channel: Channel, bus: KnownBus, remarks: list[str
     stamps, maps = Stamps(), LogMaps(bus.eds)
     for capture in captures_of_bus(path, channel, remarks):
         frames = capture.frames
-        maps.take(frames)
-        stamps.take_all(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
+        maps.add_frames(frames)
+        stamps.add_stamps(frames["t_ns"].astype(np.int64), frames["can_id"].astype(np.int64))
     return KnownBus(learned=maps.pdos()), stamps
 
 
@@ -198,7 +264,7 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
     pdos = {pdo.layout.cob_id: f"{pdo.node} {pdo.name}" for pdo in bus.pdos}
     nodes = {} if bus.host is None else bus.names
     timings = []
-    for can_id, line in sorted(stamps.of.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
+    for can_id, line in sorted(stamps.by_id.items(), key=lambda item: (item[0] & ~CAN_RTR_FLAG, item[0])):
         period = line.gaps.median() if len(line.gaps) else None
         span_s = (line.last_ns - line.first_ns) / 1e9
         timings.append(
@@ -209,8 +275,8 @@ def timing(bus: KnownBus, stamps: Stamps) -> tuple[Timing, ...]:
                 frames=line.frames,
                 rate_per_s=float(len(line.gaps) / span_s) if span_s > 0 else None,
                 period_ms=None if period is None else period / 1e6,
-                jitter=None if period is None else Spread.of(line.gaps.distances(period)),
-                from_sync=Spread.of(line.delays)
+                jitter=None if period is None else Spread.from_counts(line.gaps.distances(period)),
+                from_sync=Spread.from_counts(line.delays)
                 if can_id in pdos or (bus.host is None and can_id & (FUNCTION | CAN_RTR_FLAG) in PDO_NAMES)
                 else None,
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope
+from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, LiveEnvelope
 from coulombus.recording.pdo_columns import decode_field, signal_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
@@ -43,19 +43,19 @@ class Traces:
         for name in names:
             signal_of(rig.pdos(), name, f"rig {rig.name}")
         self.names = tuple(dict.fromkeys(names))
-        self._envelopes = {name: Envelope() for name in self.names}
+        self._envelopes = {name: LiveEnvelope() for name in self.names}
         self._pdos = {
             pdo.layout.cob_id: pdo for pdo in rig.pdos() if any(signal.name in self.names for signal in pdo.signals)
         }
         self._units = {signal.name: signal.unit for pdo in self._pdos.values() for signal in pdo.signals}
         self._waiting: list[Block] = []
 
-    def take(self, block: Block) -> None:
-        """Add frames; they are decoded at the next look."""
+    def add_frames(self, block: Block) -> None:
+        """Add frames; they are decoded at the next snapshot."""
         if self.names:
             self._waiting.append(block)
 
-    def look(self, t_ns: int) -> tuple[Trace, ...]:
+    def snapshot(self, t_ns: int) -> tuple[Trace, ...]:
         """Return the envelopes of the ten seconds before `t_ns`."""
         block, self._waiting = Block.joined(self._waiting), []
         for can_id, pdo in self._pdos.items():

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["BIN_NS", "ENVELOPE_BINS", "Envelope", "Samples", "Track", "velocity"]
+__all__ = ["BIN_NS", "ENVELOPE_BINS", "LiveEnvelope", "Samples", "Track", "velocity"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -22,7 +22,7 @@ ENVELOPE_BINS = 500
 """Bins of an envelope: ten seconds."""
 
 
-class Envelope:
+class LiveEnvelope:
     """Minimum and maximum of signals in the last `ENVELOPE_BINS` bins of `BIN_NS`.
 
     Bin k holds the samples of k BIN_NS <= t < (k + 1) BIN_NS. A bin without a sample is NaN.
@@ -134,10 +134,10 @@ class Samples:
 
 @dataclass(frozen=True)
 class Track:
-    """One signal of a `Samples` and an `Envelope`."""
+    """One signal of a `Samples` and an `LiveEnvelope`."""
 
     samples: Samples
-    bins: Envelope
+    bins: LiveEnvelope
     signal: int
 
     def last(self, n: int) -> tuple[Integers, Floats]:

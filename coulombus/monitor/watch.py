@@ -108,11 +108,11 @@ def watch(
         BusReader(client, _View(live, traces), lock, incidents, BATCH_S) as reader,
     ):
 
-        def look() -> tuple[Snapshot, dict[str, Any]]:
+        def observe() -> tuple[Snapshot, dict[str, Any]]:
             with lock:
                 reader.hand_over()
                 snapshot = live.snapshot(time.time_ns())
-                seen = traces.look(snapshot.t_ns) if terminal and traces is not None else ()
+                seen = traces.snapshot(snapshot.t_ns) if terminal and traces is not None else ()
             facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
             facts |= {"lost": client.lost, "malformed": client.malformed}
             facts |= {"incidents_end": incidents.failure} if incidents.failure else {}
@@ -133,7 +133,7 @@ def watch(
                 wait_s = pause_s if end is None else min(pause_s, max(0.0, end - time.monotonic()))
                 running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
-                snapshot, facts = look()
+                snapshot, facts = observe()
                 options: dict[str, Any] = {
                     "paused": keys.paused,
                     "raw": keys.raw,
@@ -209,13 +209,13 @@ class _View:
     def __init__(self, live: Live, traces: Traces | None) -> None:
         self._live, self._traces = live, traces
 
-    def take(self, block: Block) -> None:
-        self._live.take(block)
+    def add_frames(self, block: Block) -> None:
+        self._live.add_frames(block)
         if self._traces is not None:
-            self._traces.take(block)
+            self._traces.add_frames(block)
 
-    def tell(self, t_ns: int, text: str, *, grave: bool) -> None:
-        self._live.tell(t_ns, text, grave)
+    def add_event(self, t_ns: int, text: str, *, grave: bool) -> None:
+        self._live.add_event(t_ns, text, grave)
 
 
 _Draw: TypeAlias = Callable[[Snapshot, Any, Sequence[IncidentRow]], None]

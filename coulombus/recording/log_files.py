@@ -110,7 +110,7 @@ def _read_binary(path: str | Path, kind: str | None) -> tuple[Log, str]:
     if kind == ".mf4" and not packed:
         return mf4.read(path), ""
     log = Log()
-    error = python_can.take(path, log, "" if packed else kind or "")
+    error = python_can.read_log(path, log, "" if packed else kind or "")
     if error and not log.rows:
         raise ValueError(error)
     if error:

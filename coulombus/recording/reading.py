@@ -179,7 +179,7 @@ def _learned(captures: Iterable[Capture], eds: EdsFiles) -> LogMaps:
     maps = LogMaps(eds)
     for capture in captures:
         for start in range(0, len(capture.frames), LEARNED):
-            maps.take(capture.frames[start : start + LEARNED])
+            maps.add_frames(capture.frames[start : start + LEARNED])
     return maps
 
 

@@ -368,11 +368,11 @@ class Recording(Source):
 
     def __repr__(self) -> str:
         """Return it in one line."""
-        return f"<recording {self.path} {self._of()}: {self._summary()}>"
+        return f"<recording {self.path} {self._rig_text()}: {self._summary()}>"
 
     def _repr_html_(self) -> str:
         """Return the signals as a table, for notebooks."""
-        head = f"<p>{escape(self.path)} {escape(self._of())}, {self._summary()}</p>"
+        head = f"<p>{escape(self.path)} {escape(self._rig_text())}, {self._summary()}</p>"
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{escape(signal.unit)}</td><td>{len(signal)}</td>"
             + "".join(f"<td>{value:.6g}</td>" for value in _range(signal.values))
@@ -382,7 +382,7 @@ class Recording(Source):
         columns = "".join(f"<th>{text}</th>" for text in ("signal", "unit", "samples", "least", "largest"))
         return f"{head}<table><tr>{columns}</tr>{rows}</table>"
 
-    def _of(self) -> str:
+    def _rig_text(self) -> str:
         return "without a rig" if self.known_rig is None else f"of rig {self.known_rig.name}"
 
     def _summary(self) -> str:

@@ -22,13 +22,13 @@ def test_every_case_has_a_function_and_a_text():
     assert {case.id for case in catalogue()} == FUNCTIONS.keys()
     assert all(case.name and case.objective for case in catalogue())
     assert all(FUNCTIONS[case.id].func.__doc__ for case in catalogue())
-    assert sum(not case.own for case in catalogue()) == 127
+    assert sum(not case.is_additional for case in catalogue()) == 127
 
 
 @beside(CASES)
 def test_the_catalogue_is_the_list_with_its_abort_codes():
     rows = list(csv.DictReader(CASES.read_text().splitlines()))
-    ours = [case for case in catalogue() if not case.own]
+    ours = [case for case in catalogue() if not case.is_additional]
     assert [case.id for case in ours] == [row["case"] for row in rows]
     for case, row in zip(ours, rows, strict=True):
         codes = {int(code.rstrip("h"), 16) for code in row["accepted_abort_codes"].split()}
@@ -44,7 +44,7 @@ def sound(name):
 def test_our_nodes_pass(name):
     failed = {outcome.case.id: outcome.reason for outcome in sound(name).outcomes if outcome.result == "fail"}
     assert not failed
-    assert sum(outcome.result == "pass" for outcome in sound(name).outcomes if not outcome.case.own) == 127
+    assert sum(outcome.result == "pass" for outcome in sound(name).outcomes if not outcome.case.is_additional) == 127
 
 
 def test_a_device_that_produces_sync_from_the_start_may_refuse_1019():

@@ -41,8 +41,7 @@ from conformance_slaves import (
     wrong_default,
 )
 from coulombus.conformance.catalogue import catalogue
-from coulombus.conformance.causes import causes
-from coulombus.conformance.report import as_dict, heading, markdown, page
+from coulombus.conformance.report import as_dict, causes, heading, markdown, page
 from coulombus.conformance.tester.storage import intention
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.wire.bus_link import BusFrame
@@ -175,7 +174,7 @@ def test_pdos_and_sync_may_be_looked_at_late_after_a_start(delay_ms):
 @pytest.mark.parametrize("timeout_s", [0.1, 1.0])
 def test_what_takes_longer_than_the_time_out_fails(timeout_s):
     slave = Slave(takes=late_mode_display(int(3e9 * timeout_s)))
-    timing = Timing.of(timeout_s)
+    timing = Timing.from_timeout(timeout_s)
     assert outcomes(slave, "P.8", timing=timing)["P.8"][0] == "fail"
     assert outcomes(Slave(takes=late_mode_display(int(0.8e9 * timeout_s))), "P.8", timing=timing)["P.8"][0] == "pass"
 

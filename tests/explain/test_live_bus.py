@@ -35,7 +35,7 @@ def test_a_change_of_state_is_told_once():
     log = machine(3).add(1000, 0x083, bytes.fromhex("1042010000000000")).add(1500, 0x083, bytes(8))
     explainer = Explainer()
     for start in range(0, len(log.rows), 4):
-        explainer.take(log.frames[start : start + 4])
-        explainer.look()
-        followed.look(explainer.explanation())
+        explainer.add_frames(log.frames[start : start + 4])
+        explainer.note_overdue()
+        followed.report_changes(explainer.explanation())
     assert told == [("emcy", "unresolved"), ("emcy", "recovered")]

@@ -45,8 +45,8 @@ def looked_at(frames, rig, step):
     """Take the frames in steps; return all incidents that were ever shown."""
     explainer, shown = Explainer(KnownBus(rig)), []
     for first in range(0, len(frames), step):
-        explainer.take(frames[first : first + step])
-        explainer.look()
+        explainer.add_frames(frames[first : first + step])
+        explainer.note_overdue()
         shown += [incident.root.kind for incident in explainer.explanation().incidents]
     explainer.end()
     return [*shown, *(incident.root.kind for incident in explainer.explanation().incidents)]

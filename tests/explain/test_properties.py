@@ -44,9 +44,9 @@ def heads(explanation, shift_ms=0.0):
 def explained(frames, size=None, files=None, live=False):
     explainer = Explainer(KnownBus(eds=files or EdsFiles()))
     for start in range(0, len(frames), size or len(frames)):
-        explainer.take(frames[start : start + (size or len(frames))])
+        explainer.add_frames(frames[start : start + (size or len(frames))])
         if live:
-            explainer.look()
+            explainer.note_overdue()
     explainer.end()
     return explainer.explanation()
 

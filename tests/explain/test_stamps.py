@@ -20,8 +20,8 @@ def frames(tmp_path_factory):
 def explained(frames, step):
     explainer = Explainer()
     for first in range(0, len(frames), step):
-        explainer.take(frames[first : first + step].view(np.recarray))
-        explainer.look()
+        explainer.add_frames(frames[first : first + step].view(np.recarray))
+        explainer.note_overdue()
     explainer.end()
     return explainer.explanation()
 

@@ -112,7 +112,9 @@ def test_decode_replay_and_watch_take_it(recorded):
     assert sum(1 for row in rows(recording) if row["pdo"] == "TPDO1") > 1000
     live = Live(KnownBus(recorded.rig))
     frames = next(iter(recording)).frames[:500]
-    live.take([(int(f["t_ns"]), int(f["can_id"]), int(f["length"]), data_bytes(int(f["word"]), 8)) for f in frames])
+    live.add_frames(
+        [(int(f["t_ns"]), int(f["can_id"]), int(f["length"]), data_bytes(int(f["word"]), 8)) for f in frames]
+    )
     facts = {"bus": "", "bitrate_bit_s": 1_000_000, "lost": 0, "malformed": 0}
     shown = as_dict(live.snapshot(int(frames["t_ns"][-1])), facts, 0)["signals"]
     assert ("brake.handle_torque_Nm" in shown) is recorded.measured

@@ -22,11 +22,11 @@ class View:
     def __init__(self):
         self.frames, self.told = [], []
 
-    def take(self, block):
+    def add_frames(self, block):
         if len(block):
             self.frames.append(len(block))
 
-    def tell(self, t_ns, text, *, grave):
+    def add_event(self, t_ns, text, *, grave):
         self.told.append((text, grave))
 
 

@@ -44,8 +44,8 @@ def test_values_in_si_units_rates_and_ages(rig):
     live = Live(KnownBus(rig))
     live.snapshot(T0)
     for i in range(1000):
-        live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
-    live.take([frame(0.5, 0x202, struct.pack("<h", 1500))])
+        live.add_frames([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
+    live.add_frames([frame(0.5, 0x202, struct.pack("<h", 1500))])
     snapshot = live.snapshot(T0 + S)
     rows = {row.name: row for row in snapshot.pdos}
     signals = as_dict(snapshot, FACTS, T0)["signals"]
@@ -64,14 +64,14 @@ def test_values_in_si_units_rates_and_ages(rig):
 def test_rate_is_of_the_last_second(rig):
     live = Live(KnownBus(rig))
     for tenth in range(30):
-        live.take([frame(tenth / 10, 0x80)] * (100 if tenth < 10 else 10))
+        live.add_frames([frame(tenth / 10, 0x80)] * (100 if tenth < 10 else 10))
         snapshot = live.snapshot(T0 + tenth * S // 10)
     assert snapshot.sync_per_s == pytest.approx(100)
 
 
 def test_states_of_the_drive_as_they_change(rig):
     live = Live(KnownBus(rig))
-    live.take([tpdo1(0, 0x0250), tpdo1(0.1, 0x0231), tpdo1(0.2, 0x0237), tpdo1(0.3, 0x0218)])
+    live.add_frames([tpdo1(0, 0x0250), tpdo1(0.1, 0x0231), tpdo1(0.2, 0x0237), tpdo1(0.3, 0x0218)])
     snapshot = live.snapshot(T0 + S)
     assert texts(snapshot) == [
         "motor: switch on disabled -> ready to switch on",
@@ -85,8 +85,8 @@ def test_states_of_the_drive_as_they_change(rig):
 
 def test_heartbeats_boot_up_and_silence(rig):
     live = Live(KnownBus(rig))
-    live.take([frame(0, 0x701, b"\0"), frame(0.01, 0x701, b"\x7f"), frame(0.06, 0x701, b"\x05")])
-    live.take([frame(0.06, 0x77F, b"\x05")])
+    live.add_frames([frame(0, 0x701, b"\0"), frame(0.01, 0x701, b"\x7f"), frame(0.06, 0x701, b"\x05")])
+    live.add_frames([frame(0.06, 0x77F, b"\x05")])
     snapshot = live.snapshot(T0 + S // 10)
     motor, brake, host = snapshot.nodes
     assert (motor.state, brake.state, host.state) == ("operational", None, "operational")
@@ -98,23 +98,25 @@ def test_heartbeats_boot_up_and_silence(rig):
     assert texts(snapshot) == ["motor: no heartbeat for 0.15 s", "host: no heartbeat for 0.15 s"]
     assert [node.silent for node in snapshot.nodes] == [True, False, True]
     assert texts(live.snapshot(T0 + 2 * S)) == []
-    live.take([frame(2.1, 0x701, b"\x7f")])
+    live.add_frames([frame(2.1, 0x701, b"\x7f")])
     assert texts(live.snapshot(T0 + int(2.1 * S))) == ["motor: heard again, pre-operational"]
 
 
 def test_sync_that_stops_and_comes_back(rig):
     live = Live(KnownBus(rig))
     assert texts(live.snapshot(T0)) == []
-    live.take([frame(0, 0x80)])
+    live.add_frames([frame(0, 0x80)])
     assert texts(live.snapshot(T0 + S)) == ["SYNC stopped"]
     assert texts(live.snapshot(T0 + 2 * S)) == []
-    live.take([frame(3, 0x80)])
+    live.add_frames([frame(3, 0x80)])
     assert texts(live.snapshot(T0 + 3 * S)) == ["SYNC again"]
 
 
 def test_an_emergency_of_another_length_is_told_with_its_code(rig):
     live = Live(KnownBus(rig))
-    live.take([frame(0, 0x082, bytes.fromhex("102301000000")), frame(0, 0x081, b"\x10"), frame(0, 0x081, bytes(2))])
+    live.add_frames(
+        [frame(0, 0x082, bytes.fromhex("102301000000")), frame(0, 0x081, b"\x10"), frame(0, 0x081, bytes(2))]
+    )
     assert texts(live.snapshot(T0)) == [
         "brake: EMCY 0x2310: continuous over-current at the output (register 01h), 6 bytes, expected 8",
         "motor: EMCY without a code, 1 bytes, expected 8",
@@ -125,10 +127,10 @@ def test_an_emergency_of_another_length_is_told_with_its_code(rig):
 
 def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
     live = Live(KnownBus(rig))
-    live.take([frame(0, 0x081, bytes.fromhex("5082110000000000")), frame(0, 0x082, bytes(8))])
-    live.take([frame(0, 0x000, b"\x01\x00"), frame(0, 0x000, b"\x80\x02")])
-    live.take([frame(0, 0x581, bytes.fromhex("8041600000000206"))])
-    live.take([(T0, 0x20000044, 8, bytes(8))] * 3)
+    live.add_frames([frame(0, 0x081, bytes.fromhex("5082110000000000")), frame(0, 0x082, bytes(8))])
+    live.add_frames([frame(0, 0x000, b"\x01\x00"), frame(0, 0x000, b"\x80\x02")])
+    live.add_frames([frame(0, 0x581, bytes.fromhex("8041600000000206"))])
+    live.add_frames([(T0, 0x20000044, 8, bytes(8))] * 3)
     snapshot = live.snapshot(T0)
     assert texts(snapshot) == [
         "motor: EMCY 0x8250: RPDO time-out (register 11h)",
@@ -148,13 +150,15 @@ def test_segments_of_a_block_transfer_are_no_aborts(rig):
         *((0x601, "a40020017f"), (0x581, "c60020010e"), (0x601, "a3"), (0x581, "0161626364656667")),
         *((0x581, "8280002001000000"), (0x601, "8000200104000405")),
     )
-    live.take([frame(0, can_id, bytes.fromhex(data).ljust(8, b"\0")) for can_id, data in exchanged])
+    live.add_frames([frame(0, can_id, bytes.fromhex(data).ljust(8, b"\0")) for can_id, data in exchanged])
     assert texts(live.snapshot(T0)) == ["motor: SDO block upload 2000h:01 aborted: 0x05040004: CRC error"]
 
 
 def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):
     live = Live(KnownBus(rig))
-    live.take([tpdo1(0, 0x0237, 5), frame(0.1, 0x181, b"\1\2"), frame(0.1, 0x555), frame(0.1, 0x80000181, bytes(8))])
+    live.add_frames(
+        [tpdo1(0, 0x0237, 5), frame(0.1, 0x181, b"\1\2"), frame(0.1, 0x555), frame(0.1, 0x80000181, bytes(8))]
+    )
     snapshot = live.snapshot(T0 + S)
     assert snapshot.pdos[1].malformed == 1
     assert snapshot.pdos[1].count == 1
@@ -164,8 +168,8 @@ def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):
 @given(st.lists(st.tuples(st.integers(0, 2**62), st.integers(0, 2**32 - 1), st.integers(0, 8), st.binary(min_size=8, max_size=8))))  # fmt: skip
 def test_no_frame_raises(received):
     live = Live(KnownBus(load_rig("bench")))
-    live.take(received)
-    live.take([(t_ns, can_id & 0x7FF, length, data) for t_ns, can_id, length, data in received])
+    live.add_frames(received)
+    live.add_frames([(t_ns, can_id & 0x7FF, length, data) for t_ns, can_id, length, data in received])
     snapshot = live.snapshot(T0)
     assert as_dict(snapshot, FACTS, T0)["frames"] == 2 * len(received)
     assert list(as_lines(snapshot, FACTS, T0))
@@ -174,7 +178,7 @@ def test_no_frame_raises(received):
 def test_lines(rig):
     live = Live(KnownBus(rig))
     live.snapshot(T0)
-    live.take([tpdo1(0.9, 0x0237, -819200, 100), frame(0.9, 0x701, b"\x05")])
+    live.add_frames([tpdo1(0.9, 0x0237, -819200, 100), frame(0.9, 0x701, b"\x05")])
     lines = list(as_lines(live.snapshot(T0 + S), FACTS, T0))
     assert lines[1].split() == [
         "1.000", "motor.TPDO1", "1.0/s", "100", "ms",
@@ -187,8 +191,10 @@ def test_nodes_that_the_rig_does_not_have(rig):
     """With their state, how often they send, and what they tell; a PDO alone may be anybody's."""
     live = Live(KnownBus(rig))
     live.snapshot(T0)
-    live.take([frame(0.1, 0x705, b"\0"), frame(0.2, 0x085, bytes.fromhex("3081010000000000"))])
-    live.take([frame(i / 10, 0x705, b"\5") for i in range(3, 10)] + [frame(0.95, 0x185, bytes(8)), frame(0.95, 0x186)])
+    live.add_frames([frame(0.1, 0x705, b"\0"), frame(0.2, 0x085, bytes.fromhex("3081010000000000"))])
+    live.add_frames(
+        [frame(i / 10, 0x705, b"\5") for i in range(3, 10)] + [frame(0.95, 0x185, bytes(8)), frame(0.95, 0x186)]
+    )
     snapshot = live.snapshot(T0 + S)
     five = snapshot.nodes[-1]
     assert (five.name, five.node_id, five.known, five.state, five.frames) == ("5", 5, False, "operational", 10)
@@ -215,10 +221,10 @@ def busy(rig):
     live = Live(KnownBus(rig))
     live.snapshot(T0)
     for i in range(999):
-        live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
-        live.take([frame(i / 1000, 0x182, struct.pack("<hhh", -1250, 640, 221))])
+        live.add_frames([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
+        live.add_frames([frame(i / 1000, 0x182, struct.pack("<hhh", -1250, 640, 221))])
     for n in range(60):
-        live.tell(T0 + n * S // 100, f"event {n}" + " of many words" * (n == 58))
+        live.add_event(T0 + n * S // 100, f"event {n}" + " of many words" * (n == 58))
     return live.snapshot(T0 + S)
 
 
@@ -257,7 +263,7 @@ def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
     live = Live(KnownBus(rig))
     live.snapshot(T0)
     assert "none of the rig's nodes was heard" in "".join(shown(live.snapshot(T0), 80, 24, all_nodes=False))
-    live.take([frame(0.1, 0x705, b"\5")])
+    live.add_frames([frame(0.1, 0x705, b"\5")])
     snapshot = live.snapshot(T0 + S)
     whole = "\n".join(shown(snapshot, 80, 24, all_nodes=False))
     assert "motor" not in whole
@@ -272,7 +278,7 @@ def test_periods_load_and_bits_of_words(rig):
     live = Live(KnownBus(rig))
     live.snapshot(T0)
     for t_s in (0.0, 0.001, 0.0035, 0.0040):
-        live.take([tpdo1(t_s, 0x1237)])
+        live.add_frames([tpdo1(t_s, 0x1237)])
     snapshot = live.snapshot(T0 + S // 100)
     (row,) = (row for row in snapshot.pdos if row.name == "motor.TPDO1")
     assert (row.least_s, row.most_s) == (pytest.approx(0.0005), pytest.approx(0.0025))
@@ -292,7 +298,7 @@ def test_bits_of_a_frame_are_those_of_the_worst_stuffing():
 def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):
     live = Live(KnownBus(rig))
     for t_s in (0.1, 0.2):
-        live.take([frame(t_s, 0x181, b"\1\2"), frame(t_s, 0x381, bytes(8))])
+        live.add_frames([frame(t_s, 0x181, b"\1\2"), frame(t_s, 0x381, bytes(8))])
     events = live.snapshot(T0 + S).events
     assert [event.text for event in events if event.grave] == [
         "181h has 2 bytes, the rig's has 8: another rig?",
@@ -302,7 +308,7 @@ def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):
 
 def test_lss_in_words(rig):
     live = Live(KnownBus(rig))
-    live.take(
+    live.add_frames(
         [frame(0.1, 0x7E5, bytes.fromhex("1107000000000000")), frame(0.2, 0x7E4, bytes.fromhex("1101000000000000"))]
     )
     assert texts(live.snapshot(T0 + S)) == [
@@ -319,9 +325,9 @@ def screen_lines(live, width, **facts):
 
 def test_bytes_that_changed_since_the_last_look_stand_out(rig):
     live = Live(KnownBus(rig))
-    live.take([tpdo1(0.1, 0x0237, 5)])
+    live.add_frames([tpdo1(0.1, 0x0237, 5)])
     live.snapshot(T0)
-    live.take([tpdo1(0.2, 0x0237, 6)])
+    live.add_frames([tpdo1(0.2, 0x0237, 6)])
     (line,) = (line for line in screen_lines(live, 80, raw=True) if "motor.TPDO1" in line.plain)
     (span,) = (span for span in line.spans if span.style == CHANGED)
     assert "3702060000000000" in line.plain
@@ -346,7 +352,7 @@ def test_a_held_picture_says_so_and_the_host_is_told(rig):
 
 def test_bits_of_words_have_lines_of_their_own_where_no_column_is_wide_enough(rig):
     live = Live(KnownBus(rig))
-    live.take([tpdo1(0.1, 0x1237)])
+    live.add_frames([tpdo1(0.1, 0x1237)])
     lines = [line.plain for line in screen_lines(live, 80, words=True)]
     assert "motor.statusword 0x1237: operation enabled; remote, mode 12" in lines
     assert not any("controlword" in line and ":" in line for line in lines)  # none came
@@ -363,7 +369,7 @@ def test_the_keys_of_a_view():
 
 def test_the_table_of_a_pdo_is_filled_with_what_came(rig):
     live = Live(KnownBus(rig))
-    live.take([tpdo1(0.9, 0x0237, -819200)])
+    live.add_frames([tpdo1(0.9, 0x0237, -819200)])
     now = {row.can_id: row for row in live.snapshot(T0 + S).pdos}
     pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
     lines = list(pdo_text.as_lines(pdos[0x181], now[0x181]))
@@ -426,11 +432,11 @@ def test_a_block_is_as_its_frames_one_by_one(seed, monkeypatch):
             if can_id == 0x181 and rng.random() < 0.9:
                 data[0] = int(rng.choice([0x37, 0x31, 0x18]))
             received.append((t_ns, can_id, length, bytes(data)))
-        many.take(received)
+        many.add_frames(received)
         with monkeypatch.context() as alone:
             alone.setattr("coulombus.monitor.live.TOGETHER", 1)
             for single in received:
-                by_frames.take([single])
+                by_frames.add_frames([single])
         assert by_frames.snapshot(t_ns) == many.snapshot(t_ns)
     assert min(by_frames.error_frames, by_frames.unknown) > 10
     assert any(row.malformed for row in by_frames.snapshot(t_ns).pdos)

@@ -39,8 +39,8 @@ def followed(*batches):
     incidents = LiveIncidents(KnownBus(RIG))
     looks = []
     for frames, t_s in batches:
-        incidents.take(Block.from_frames(frames))
-        looks.append(incidents.look(T0 + round(t_s * S)))
+        incidents.add_frames(Block.from_frames(frames))
+        looks.append(incidents.update(T0 + round(t_s * S)))
     return looks
 
 
@@ -100,8 +100,8 @@ def test_a_host_that_vanishes_is_an_incident():
 
 def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
     reader = IncidentReader(KnownBus(RIG))
-    reader.take([*beats(0, 1, 1, 2), emergency(1)])
-    reader.look(T0 + 2 * S)
+    reader.add_frames([*beats(0, 1, 1, 2), emergency(1)])
+    reader.update(T0 + 2 * S)
     (row,) = reader.rows
     assert row.title.startswith("motor")
 
@@ -109,16 +109,16 @@ def test_the_reader_goes_on_where_a_look_fails(monkeypatch):
         raise ValueError("an odd bus")
 
     monkeypatch.setattr("coulombus.monitor.live_incidents.LOOK_S", 0.0)
-    monkeypatch.setattr(reader, "look", fail)
+    monkeypatch.setattr(reader, "update", fail)
     reader._run()
     assert reader.failure == "the search for incidents has ended: ValueError: an odd bus"
-    reader.take(beats(1, 2, 1))
+    reader.add_frames(beats(1, 2, 1))
     assert reader._waiting == []
 
 
 def shown(rows, opened="", height=50, width=100):
     live = Live(KnownBus(RIG))
-    live.take([frame(0.1, 0x080)])
+    live.add_frames([frame(0.1, 0x080)])
     console = Console(file=io.StringIO(), width=width, height=height, color_system=None, force_terminal=True)
     facts = {**FACTS, "keys": "q end"}
     console.print(Screen(live.snapshot(T0 + S), facts, (), T0, True, (), rows, opened))

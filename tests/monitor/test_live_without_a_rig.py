@@ -37,8 +37,8 @@ def mapped(node, t_s, index, *words):
 def test_pdos_are_learned_and_the_others_are_raw():
     live = Live(KnownBus())
     live.snapshot(T0)
-    live.take([frame(0, 0x705, b"\0"), *mapped(5, 0.01, 0x1A00, *MAP), frame(0.02, 0x705, b"\5")])
-    live.take([frame(0.1, 0x185, struct.pack("<Hi", 0x0237, -7)), frame(0.11, 0x309, b"\1\2\3")])
+    live.add_frames([frame(0, 0x705, b"\0"), *mapped(5, 0.01, 0x1A00, *MAP), frame(0.02, 0x705, b"\5")])
+    live.add_frames([frame(0.1, 0x185, struct.pack("<Hi", 0x0237, -7)), frame(0.11, 0x309, b"\1\2\3")])
     snapshot = live.snapshot(T0 + S)
     rows = {row.name: row for row in snapshot.pdos}
     assert list(rows) == ["5.TPDO1", "9.RPDO2"]
@@ -57,13 +57,13 @@ def test_pdos_are_learned_and_the_others_are_raw():
 def test_a_length_that_does_not_fit_a_map_is_counted_and_an_assumed_map_is_left():
     live = Live(KnownBus())
     kind = frame(0, 0x585, bytes.fromhex("4300100092010000"))
-    live.take([kind, *mapped(6, 0.01, 0x1A00, *MAP), frame(0.1, 0x185, b"\x37\2"), frame(0.1, 0x186, bytes(5))])
+    live.add_frames([kind, *mapped(6, 0.01, 0x1A00, *MAP), frame(0.1, 0x185, b"\x37\2"), frame(0.1, 0x186, bytes(5))])
     snapshot = live.snapshot(T0 + S)
     rows = {row.name: row for row in snapshot.pdos}
     assert [value.name for value in rows["5.TPDO1"].values] == ["5.TPDO1.6041h:00"]
     assert (rows["6.TPDO1"].count, rows["6.TPDO1"].malformed) == (0, 1)
     assert any("186h has 5 bytes, its map 6" in event.text for event in snapshot.events)
-    live.take([frame(0.2, 0x185, bytes(8))])
+    live.add_frames([frame(0.2, 0x185, bytes(8))])
     rows = {row.name: row for row in live.snapshot(T0 + 2 * S).pdos}
     assert (rows["5.TPDO1"].values, rows["5.TPDO1"].malformed, rows["5.TPDO1"].data) == ((), 0, bytes(8))
 
@@ -80,11 +80,11 @@ def test_a_length_that_does_not_fit_a_map_is_counted_and_an_assumed_map_is_left(
 )
 def test_an_assumed_rig_is_left_when_the_bus_is_another_ones(rig, frames):
     live = Live(KnownBus(rig), assumed=True)
-    live.take([*mapped(5, 0.01, 0x1A00, *MAP), *frames, frame(0.2, 0x185, struct.pack("<Hi", 0x0237, 9))])
+    live.add_frames([*mapped(5, 0.01, 0x1A00, *MAP), *frames, frame(0.2, 0x185, struct.pack("<Hi", 0x0237, 9))])
     snapshot = live.snapshot(T0 + S)
     assert any("this is not rig bench" in event.text for event in snapshot.events)
     assert live.rig is None
-    live.take([frame(1.2, 0x185, struct.pack("<Hi", 0x0237, 9))])
+    live.add_frames([frame(1.2, 0x185, struct.pack("<Hi", 0x0237, 9))])
     signals = as_dict(live.snapshot(T0 + 2 * S), FACTS, T0)["signals"]
     assert signals["5.TPDO1.6064h:00"] == 9
     assert not any("motor" in name for name in signals)
@@ -92,7 +92,7 @@ def test_an_assumed_rig_is_left_when_the_bus_is_another_ones(rig, frames):
 
 def test_a_node_that_only_sends_pdos_is_listed_when_the_rig_is_left(rig):
     live = Live(KnownBus(rig), assumed=True)
-    live.take([frame(0.1, 0x181, bytes(3)), frame(0.2, 0x189, bytes(4))])
+    live.add_frames([frame(0.1, 0x181, bytes(3)), frame(0.2, 0x189, bytes(4))])
     assert {node.name for node in live.snapshot(T0 + S).nodes} == {"1", "9"}
 
 
@@ -106,13 +106,13 @@ def test_a_node_that_only_sends_pdos_is_listed_when_the_rig_is_left(rig):
 )
 def test_an_assumed_rig_stays_where_its_nodes_are(rig, frames):
     live = Live(KnownBus(rig), assumed=True)
-    live.take([frame(0, 0x701, b"\5"), frame(0.05, 0x181, struct.pack("<Hih", 0x0237, 0, 0)), *frames])
+    live.add_frames([frame(0, 0x701, b"\5"), frame(0.05, 0x181, struct.pack("<Hih", 0x0237, 0, 0)), *frames])
     live.snapshot(T0 + S)
     assert live.rig is rig
 
 
 def test_a_rig_that_was_named_stays(rig):
     live = Live(KnownBus(rig))
-    live.take([frame(0.1, 0x705, b"\5"), frame(0.1, 0x181, bytes(3))])
+    live.add_frames([frame(0.1, 0x705, b"\5"), frame(0.1, 0x181, bytes(3))])
     live.snapshot(T0 + S)
     assert live.rig is rig

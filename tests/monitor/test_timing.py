@@ -1,5 +1,5 @@
 """Rate, jitter and delay behind SYNC of what is on a bus, against numbers that were put there; and
-the PDO table.
+the PDO table. Counted times have the quantiles of kept ones, to the last bit.
 """
 
 from __future__ import annotations
@@ -9,10 +9,13 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from coulombus.cli.main import main
+from coulombus.monitor import timing as module
 from coulombus.monitor.pdo_text import as_lines as pdo_lines
-from coulombus.monitor.timing import Spread, Stamps, Timing, as_lines, listen, recorded_bare, timing
+from coulombus.monitor.timing import Spread, Stamps, TimeCounts, Timing, as_lines, listen, recorded_bare, timing
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
@@ -22,6 +25,8 @@ from coulombus.wire.frame import CAN_ERR_FLAG, Frame, new_records
 from tiny_bus import tiny_bus
 
 MS = 1_000_000
+PERCENTS = (50, 99, 100)
+times_of = st.lists(st.integers(-(10**12), 10**12) | st.integers(999_990, 1_000_010), min_size=1, max_size=200)
 
 
 def stamped():
@@ -30,7 +35,7 @@ def stamped():
     frames = []
     for k in range(1000):
         frames += [(k * MS, 0x080, 0, b""), (k * MS + (170_000 if k % 100 == 50 else 120_000), 0x181, 8, bytes(8))]
-    stamps.take([*frames, (5, CAN_ERR_FLAG | 1, 8, bytes(8))])
+    stamps.add_frames([*frames, (5, CAN_ERR_FLAG | 1, 8, bytes(8))])
     return stamps
 
 
@@ -47,7 +52,7 @@ def test_rate_jitter_and_delay():
 
 def test_what_needs_two_frames_is_none_of_one():
     stamps = Stamps()
-    stamps.take([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
+    stamps.add_frames([(7, 0x701, 1, b"\x05"), (9, 0x181, 8, bytes(8))])
     motor, beat = timing(KnownBus(load_rig("bench")), stamps)
     assert (beat.name, beat.rate_per_s, beat.period_ms, beat.jitter) == ("motor heartbeat", None, None, None)
     assert motor.from_sync is None  # it came before any SYNC
@@ -57,7 +62,7 @@ def test_what_needs_two_frames_is_none_of_one():
 def test_names_of_services():
     stamps = Stamps()
     ids = (0x000, 0x080, 0x082, 0x100, 0x185, 0x582, 0x601, 0x77F, 0x7E5)
-    stamps.take([(1, can_id, 0, b"") for can_id in ids])
+    stamps.add_frames([(1, can_id, 0, b"") for can_id in ids])
     names = [row.name for row in timing(KnownBus(load_rig("bench")), stamps)]
     assert names == [
         "NMT", "SYNC", "brake EMCY", "TIME", "-", "brake SDO tx", "motor SDO rx", "host heartbeat", "LSS_RX",
@@ -89,7 +94,9 @@ def test_no_line_is_wider_than_80_columns(rig):
     stamps = Stamps()
     ids = [0x080, *(pdo.layout.cob_id for pdo in rig.pdos()), *(0x700 + node.node_id for node in rig.nodes)]
     random = np.random.default_rng(3)
-    stamps.take([(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))])
+    stamps.add_frames(
+        [(int(t), can_id, 8, bytes(8)) for can_id in ids for t in np.cumsum(random.integers(1, 10**11, 500))]
+    )
     lines = [*as_lines(timing(KnownBus(rig), stamps)), *(line for pdo in rig.pdos() for line in pdo_lines(pdo))]
     assert max(map(len, lines)) <= 80
 
@@ -133,7 +140,7 @@ def test_listening_to_a_bus(private_sockets, monkeypatch):
 
         monkeypatch.setattr("coulombus.monitor.timing.StopSignals", Heard)
         stamps, lost = listen(parse_address("coulombus:t"), 0.05)
-    assert {can_id: line.frames for can_id, line in stamps.of.items()} == {0x080: 20, 0x181: 20}
+    assert {can_id: line.frames for can_id, line in stamps.by_id.items()} == {0x080: 20, 0x181: 20}
     assert lost == 3
 
 
@@ -152,3 +159,52 @@ def test_remote_frames_are_counted_beside_the_data_frames(tmp_path):
         (0x705, False): ("5 heartbeat", 4),
         (0x705, True): ("5 guarding", 9),
     }
+
+
+def counted(times, parts):
+    counts = TimeCounts()
+    for part in np.array_split(np.array(times, np.int64), parts):
+        counts.add(part)
+    return counts
+
+
+@settings(max_examples=80, derandomize=True, deadline=None)
+@given(times=times_of, parts=st.integers(1, 5))
+def test_quantiles_are_those_of_numpy(times, parts):
+    counts = counted(times, parts)
+    assert len(counts) == len(times)
+    assert counts.percentiles(PERCENTS) == np.percentile(np.array(times), PERCENTS).tolist()
+    assert counts.median() == np.median(times)
+    apart = np.abs(np.array(times) - counts.median()).astype(np.int64)
+    assert counts.distances(counts.median()).percentiles(PERCENTS) == np.percentile(apart, PERCENTS).tolist()
+
+
+def test_the_memory_is_that_of_the_different_times(monkeypatch):
+    monkeypatch.setattr(module, "UNCOUNTED", 1000)
+    counts, chance = TimeCounts(), np.random.default_rng(5)
+    for _ in range(300):
+        counts.add(1_000_000 + chance.integers(-50, 50, 100))
+    assert len(counts) == 30_000
+    assert len(counts._times) <= 100
+    assert counts._size < 1000
+
+
+@pytest.mark.parametrize("parts", [1, 7, 100])
+def test_the_timing_does_not_depend_on_the_stretches(parts):
+    chance = np.random.default_rng(6)
+    t_ns = np.sort(chance.integers(0, 10**9, 3000))
+    can_ids = chance.choice([0x80, 0x181, 0x182, 0x701], 3000)
+    stamps = Stamps()
+    for rows in np.array_split(np.arange(3000), parts):
+        stamps.add_stamps(t_ns[rows], can_ids[rows])
+    syncs = t_ns[can_ids == 0x80]
+    for row in timing(KnownBus(), stamps):
+        own = t_ns[can_ids == row.can_id]
+        gaps = np.diff(own)
+        assert (row.frames, row.period_ms) == (len(own), np.median(gaps) / 1e6)
+        jitter = np.percentile(np.abs(gaps - np.median(gaps)).astype(np.int64), PERCENTS) / 1e3
+        assert [row.jitter.p50_us, row.jitter.p99_us, row.jitter.max_us] == jitter.tolist()
+        if row.can_id in (0x181, 0x182):
+            last = np.searchsorted(syncs, own, "right") - 1
+            delays = np.percentile((own - syncs[last])[last >= 0], PERCENTS) / 1e3
+            assert [row.from_sync.p50_us, row.from_sync.p99_us, row.from_sync.max_us] == delays.tolist()

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from coulombus.monitor.braille import DOTS, drawn
 from coulombus.monitor.live import Live
-from coulombus.monitor.screen import Screen
+from coulombus.monitor.screen import DOTS, Screen, drawn
 from coulombus.monitor.traces import Traces
 from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS
 from coulombus.recording.maps.known_bus import KnownBus
@@ -69,16 +68,16 @@ def test_the_envelope_has_what_came_in_the_last_ten_seconds() -> None:
     rig = load_rig("bench")
     traces = Traces(rig, [NAME])
     scale = next(s.scale for pdo in rig.pdos() for s in pdo.signals if s.name == NAME)
-    traces.take(frames([100, -50, 7], BIN_NS // 4))
-    traces.take(
+    traces.add_frames(frames([100, -50, 7], BIN_NS // 4))
+    traces.add_frames(
         Block.from_frames([(NOW, 0x181, 3, bytes(8)), (NOW, 0x999, 8, bytes(8))])
     )  # of another length, another frame
-    (trace,) = traces.look(NOW)
+    (trace,) = traces.snapshot(NOW)
     assert len(trace.low) == ENVELOPE_BINS
     assert trace.unit == "rad"
     assert np.nanmin(trace.low) == pytest.approx(-50 * scale)
     assert np.nanmax(trace.high) == pytest.approx(100 * scale)
-    (later,) = traces.look(NOW + 11 * 10**9)
+    (later,) = traces.snapshot(NOW + 11 * 10**9)
     assert not np.isfinite(later.low).any()
 
 
@@ -94,11 +93,11 @@ def test_the_picture_fits_the_window(width: int, height: int) -> None:
     live, traces = Live(KnownBus(rig)), Traces(rig, [NAME, "brake.handle_torque_Nm"])
     live.snapshot(NOW - 10**9)
     came = frames(list(range(500)), BIN_NS)
-    live.take(came)
-    traces.take(came)
+    live.add_frames(came)
+    traces.add_frames(came)
     facts = {"bus": "coulombus:bench", "bitrate_bit_s": 1_000_000, "lost": 0, "malformed": 0}
     console = Console(file=io.StringIO(), force_terminal=True, width=width, height=height, color_system=None)
-    console.print(Screen(live.snapshot(NOW), facts, [], NOW - 10**9, traces=traces.look(NOW)))
+    console.print(Screen(live.snapshot(NOW), facts, [], NOW - 10**9, traces=traces.snapshot(NOW)))
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     assert len(lines) < height
     assert all(len(line) <= width for line in lines)

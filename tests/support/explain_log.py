@@ -76,7 +76,7 @@ class Log:
         cuts = np.linspace(0, len(self.rows), pieces + 1).astype(int)
         for start, end in pairwise(cuts):
             remarks = [(row - start, text) for row, text in comments if start <= row < end]
-            explainer.take(self.frames[start:end], remarks, inside)
+            explainer.add_frames(self.frames[start:end], remarks, inside)
         explainer.end()
         return explainer.explanation()
 

@@ -177,7 +177,7 @@ def page(rig: str = "bench", door: Door | None = None) -> Page:
     capture.snapshot(BEGIN_NS)
     door = door or Door()
     found = Page(capture, door.door, TOKEN, lambda: FACTS, threading.Lock())
-    found.host.tell(door.status())
+    found.host.update(door.status())
     return found
 
 
@@ -221,13 +221,13 @@ async def going_on(shown: Page, status: Any):
         k = 400
         while True:
             with shown.lock:
-                shown.capture.take(cycles(k, 33))
-                shown.host.tell(status())
+                shown.capture.add_frames(cycles(k, 33))
+                shown.host.update(status())
             k += 33
             shown.tick(BEGIN_NS + k * MS)
             await asyncio.sleep(0.033)
 
-    shown.capture.take(cycles(0, 400))
+    shown.capture.add_frames(cycles(0, 400))
     task = asyncio.create_task(ticking())
     yield
     task.cancel()

@@ -266,7 +266,7 @@ def fault(unit: Unit) -> str:
 
 def _error_code(unit: Unit) -> None:
     """Fail if 603Fh differs from the EMCY's code."""
-    frames = unit.take(unit.number(0x1014) & 0x7FF) if unit.has(0x1014) else []
+    frames = unit.pop_frames(unit.number(0x1014) & 0x7FF) if unit.has(0x1014) else []
     emcy_codes = [int.from_bytes(frame.data[:2], "little") for frame in frames]
     if unit.has(0x603F) and emcy_codes and unit.number(0x603F) not in emcy_codes:
         raise CaseFailed(f"603Fh is {unit.number(0x603F):04X}h in FAULT; the EMCY said {emcy_codes[-1]:04X}h")

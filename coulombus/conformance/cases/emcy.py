@@ -181,7 +181,7 @@ def disabled(unit: Unit) -> None:
     unit.write(0x1014, 0, can_id | INVALID)
     unit.flush()
     heartbeat.lose()
-    frames = unit.take(can_id)
+    frames = unit.pop_frames(can_id)
     if not unit.number(0x1001):
         raise NotApplicable("1001h stays 0 after a lost heartbeat")
     if frames:
@@ -201,7 +201,7 @@ def moved(unit: Unit) -> str:
     unit.flush()
     heartbeat.lose()
     frame = unit.wait(OTHER_ID)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed("an EMCY comes with the old identifier" + (", too" if frame else ""))
     if frame is None:
         unit.restore()
@@ -221,7 +221,7 @@ def in_stopped(unit: Unit) -> None:
     unit.nmt(NmtCommand.STOP)
     unit.flush()
     heartbeat.lose()
-    frames = unit.take(can_id)
+    frames = unit.pop_frames(can_id)
     unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     if not unit.number(0x1001):
         raise NotApplicable("1001h stays 0 after a heartbeat that was lost in STOPPED")

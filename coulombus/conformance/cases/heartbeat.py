@@ -41,7 +41,7 @@ def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
             if ask:
                 unit.send(error_id(unit) | RTR, length=1)
             unit.pause(period_ms * MS)
-        frames = unit.take(error_id(unit))
+        frames = unit.pop_frames(error_id(unit))
         for frame in frames:
             if frame.length != 1 or frame.data[0] not in _STATES:
                 raise CaseFailed(f"a heartbeat is {frame.data.hex(' ')!r}, expected one byte 04h, 05h or 7Fh")
@@ -81,7 +81,7 @@ def heartbeat_off(unit: Unit) -> None:
     """Switch the heartbeat on and off again: none is sent."""
     unit.need_writable(0x1017)
     unit.write(0x1017, 0, HEARTBEAT_MS)
-    unit.take(error_id(unit))
+    unit.pop_frames(error_id(unit))
     unit.expect(error_id(unit), "heartbeat")
     unit.write(0x1017, 0, 0)
     no_more_heartbeats(unit)
@@ -139,7 +139,7 @@ def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: boo
         if frame is None:
             must_be_noticed(unit, "a lost heartbeat", heartbeat.lose)
         return f"{int.from_bytes(frame.data[:2], 'little'):04X}h" if frame else None
-    frames = unit.take(can_id)
+    frames = unit.pop_frames(can_id)
     if frames and late_ns < consumer_ms * MS:
         raise CaseFailed(f"an EMCY although heartbeats come every {producer_ms} ms and 1016h allows {consumer_ms}")
     return None
@@ -157,7 +157,7 @@ def consumer_after_reset(unit: Unit) -> None:
     unit.reset(NmtCommand.RESET_COMMUNICATION)
     unit.flush()
     unit.pause(300 * MS)
-    if any(frame.data[:2] != b"\0\0" for frame in unit.take(can_id)):
+    if any(frame.data[:2] != b"\0\0" for frame in unit.pop_frames(can_id)):
         raise CaseFailed("an EMCY for a heartbeat that was watched before the reset")
     if unit.number(0x1016, heartbeat.subindex) == heartbeat.producer << 16 | 100:
         raise CaseFailed("1016h keeps its value over reset communication")
@@ -268,7 +268,7 @@ def begins_with_the_first(unit: Unit) -> str:
             raise
     unit.flush()
     unit.pause(5 * WATCH_MS * MS)
-    frames = unit.take(can_id)
+    frames = unit.pop_frames(can_id)
     if frames:
         raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} before the first heartbeat and remote frame")
     return ", ".join(done)

@@ -83,7 +83,7 @@ def optional(unit: Unit, service: int, what: str) -> bytes:
 def silence(unit: Unit, what: str) -> None:
     """Fail if the slave responds."""
     unit.pause(unit.timing.quiet_ns)
-    frames = unit.take(CobId.LSS_TX)
+    frames = unit.pop_frames(CobId.LSS_TX)
     if frames:
         raise CaseFailed(f"{what} is answered with {frames[0].data.hex(' ')}")
 
@@ -236,7 +236,7 @@ def fastscan(unit: Unit) -> str:
         unit.pause(unit.timing.quiet_ns)
     send(unit, S.IDENTIFY_NON_CONFIGURED)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(CobId.LSS_TX):
+    if unit.pop_frames(CobId.LSS_TX):
         raise CaseFailed("the device takes part in a fastscan although it has a node-id")
     return "silent"
 
@@ -295,7 +295,7 @@ def without_node_id(unit: Unit) -> None:
         unit.send(unit.sdo_rx, b"\x40\x00\x10" + bytes(5))
         unit.pause(unit.timing.quiet_ns)
         for can_id, what in ((CobId.HEARTBEAT + unit.node_id, "boots up"), (unit.sdo_tx, "answers an SDO request")):
-            if unit.take(can_id):
+            if unit.pop_frames(can_id):
                 raise CaseFailed(f"the device {what} although it has no node-id")
     finally:
         give_back(unit, own_address)

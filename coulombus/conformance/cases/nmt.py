@@ -200,7 +200,7 @@ def reserved_commands(unit: Unit) -> None:
         unit.flush()
         unit.nmt(command)
         unit.pause(unit.timing.quiet_ns)
-        if any(frame.data == b"\0" for frame in unit.take(CobId.HEARTBEAT + unit.node_id)):
+        if any(frame.data == b"\0" for frame in unit.pop_frames(CobId.HEARTBEAT + unit.node_id)):
             raise CaseFailed(f"NMT command {command} resets the device")
         state = nmt_state(unit)
         if state not in (None, NmtState.PRE_OPERATIONAL):

@@ -34,7 +34,7 @@ def error_id(unit: Unit) -> int:
 def guard(unit: Unit) -> BusFrame:
     """Send a remote frame, and return the response."""
     unit.pause(2 * MS)
-    unit.take(error_id(unit))
+    unit.pop_frames(error_id(unit))
     unit.send(error_id(unit) | RTR, length=1)
     frame = unit.expect(error_id(unit), "answer to the guarding's remote frame")
     if frame.length != 1:
@@ -98,7 +98,7 @@ def guarding_identifiers(unit: Unit) -> None:
         unit.send(CobId.HEARTBEAT + node_id | RTR, length=1)
         unit.pause(MS)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(error_id(unit)):
+    if unit.pop_frames(error_id(unit)):
         raise CaseFailed("the device answers to a remote frame with another node's identifier")
     alternating(unit, NmtState.PRE_OPERATIONAL, 1)
 
@@ -131,7 +131,7 @@ def life_guarding(unit: Unit) -> str:
     for _ in range(8):
         guard(unit)
         unit.pause(GUARD_MS * MS)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed("an EMCY although the guarding is in time")
     last_ns = unit.link.now_ns()
     guard(unit)

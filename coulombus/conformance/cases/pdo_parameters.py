@@ -114,7 +114,7 @@ def silent(unit: Unit, stimulus: int, state: NmtState) -> str:
         unit.flush()
         occasion.poke(state)
         unit.pause(unit.timing.quiet_ns)
-        frames = unit.take(occasion.can_id)
+        frames = unit.pop_frames(occasion.can_id)
         if frames:
             raise CaseFailed(f"{occasion.name} comes {len(frames)} times in NMT state {state.name}")
         return occasion.name

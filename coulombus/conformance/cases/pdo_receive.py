@@ -176,7 +176,7 @@ def too_long(unit: Unit) -> str:
     unit.flush()
     rpdo.send(rpdo.data(11) + b"\xff")
     unit.pause(unit.timing.quiet_ns)
-    frames = unit.take(can_id)
+    frames = unit.pop_frames(can_id)
     rpdo.expect(11, "after an RPDO with 11 and one byte more")
     if frames and frames[0].data[:2] != b"\x20\x82":
         raise CaseFailed(f"EMCY {frames[0].data[:8].hex(' ')} after an RPDO that is too long, expected 8220h")
@@ -244,11 +244,11 @@ def deadline(unit: Unit) -> str:
     unit.start()
     unit.flush()
     unit.pause(3 * DEADLINE_MS * MS)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed("an EMCY before the first RPDO")
     for _ in range(5):
         rpdo.send(rpdo.data(rpdo.before))
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed("an EMCY although the RPDO is in time")
     frame = unit.wait(can_id)
     if frame is None:

@@ -132,7 +132,7 @@ def only_on_request(unit: Unit, transmission: int) -> str:
     unit.flush()
     event.fire_and_see()
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission} comes with an event")
     sample = ask(unit, can_id)
     if (sample == before) != (transmission == 252):
@@ -141,7 +141,7 @@ def only_on_request(unit: Unit, transmission: int) -> str:
     unit.flush()
     sync(unit)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission} comes with a SYNC")
     if not unit.until(lambda: ask(unit, can_id) != before):
         raise CaseFailed(f"TPDO {k + 1} of type {transmission}: an old value after a SYNC")
@@ -223,6 +223,6 @@ def empty_map(unit: Unit) -> str:
     unit.flush()
     sync(unit)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed(f"TPDO {k + 1} comes although it maps nothing")
     return f"TPDO {k + 1}"

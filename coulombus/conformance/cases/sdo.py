@@ -273,7 +273,7 @@ def remote_request(unit: Unit) -> None:
     unit.flush()
     unit.send(unit.sdo_rx | RTR, length=8)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(unit.sdo_tx):
+    if unit.pop_frames(unit.sdo_tx):
         raise CaseFailed("a remote frame on the SDO request's identifier is answered")
     unit.read(0x1000, 0)
 

@@ -174,7 +174,7 @@ def aborted(unit: Unit) -> None:
     unit.sdo.read_block(index, subindex, 1)
     unit.sdo.abort(index, subindex)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(unit.sdo_tx):
+    if unit.pop_frames(unit.sdo_tx):
         raise CaseFailed("the server answers the client's abort")
     same(index, subindex, unit.read(index, subindex), content)
 
@@ -229,7 +229,7 @@ def lost_segment(unit: Unit) -> None:
     position = good
     while position < len(segments):
         unit.pause(unit.timing.quiet_ns)  # a server that acknowledges at the gap may do so again
-        unit.take(unit.sdo_tx)
+        unit.pop_frames(unit.sdo_tx)
         for number, segment in enumerate(segments[position : position + size], 1):
             unit.sdo.stream(bytes((number | 0x80 * (position + number == len(segments)),)) + segment)
         good, size = unit.sdo.block_acknowledged(index, subindex)
@@ -302,7 +302,7 @@ def after_the_end(unit: Unit) -> str:
     variable, _ = long_object(unit)
     unit.sdo.block_upload(variable.index, variable.subindex, crc=True)
     unit.pause(STANDSTILL_MS * MS)
-    frames = unit.take(unit.sdo_tx)
+    frames = unit.pop_frames(unit.sdo_tx)
     if frames:
         raise CaseFailed(f"the server sends {frames[0].data.hex(' ')} after the end of a block upload")
     return must_abort(unit, b"\xa2\x01\x7f" + bytes(5), "an acknowledge after the end of a block upload")

@@ -133,7 +133,7 @@ def client_abort(unit: Unit) -> str:
     unit.sdo.initiate_upload(variable.index, variable.subindex)
     unit.sdo.abort(variable.index, variable.subindex)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(unit.sdo_tx):
+    if unit.pop_frames(unit.sdo_tx):
         raise CaseFailed("the server answers the client's abort")
     try:
         answer = unit.sdo.request(b"\x60" + bytes(7), variable.index, variable.subindex, "unknown command")

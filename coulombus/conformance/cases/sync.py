@@ -101,7 +101,7 @@ def tpdos(unit: Unit) -> str:
     unit.pause(15 * PERIOD_MS * MS)
     unit.write(0x1005, 0, unit.number(0x1005) & ~PRODUCER)
     unit.pause(unit.timing.quiet_ns)
-    sent, count = len(unit.take(unit.sync_id)), len(unit.take(can_id))
+    sent, count = len(unit.pop_frames(unit.sync_id)), len(unit.pop_frames(can_id))
     if abs(sent - count) > 1 or sent < 10:  # the first SYNC may have been under way when the counting began
         raise CaseFailed(f"{count} TPDOs with {sent} SYNCs of the device")
     return f"{count} TPDOs with {sent} SYNCs of the device"
@@ -235,7 +235,7 @@ def wrong_length(unit: Unit) -> str:
     unit.flush()
     send_sync(unit, 1)
     unit.pause(unit.timing.quiet_ns)
-    frames = unit.take(emcy)
+    frames = unit.pop_frames(emcy)
     unit.flush()
     send_sync(unit)
     unit.expect(can_id, "TPDO of type 1 after a SYNC", cause=NO_SYNC_TPDO)
@@ -258,7 +258,7 @@ def another_identifier(unit: Unit) -> str:
     unit.flush()
     send_sync(unit)
     unit.pause(unit.timing.quiet_ns)
-    if unit.take(can_id):
+    if unit.pop_frames(can_id):
         raise CaseFailed("a TPDO comes with a SYNC of the old identifier")
     unit.send(OTHER_ID)
     unit.expect(can_id, "TPDO of type 1 after a SYNC with the new identifier")
@@ -334,5 +334,5 @@ def counter_after_reset(unit: Unit) -> None:
     unit.pause(2 * PERIOD_MS * MS + PERIOD_MS * MS // 2)
     boot = unit.reset(must=True)
     unit.pause((OVERFLOW + 2) * PERIOD_MS * MS)
-    frames = unit.take(unit.sync_id)
+    frames = unit.pop_frames(unit.sync_id)
     check_counter([frame for frame in frames if boot is None or frame.t_ns >= boot.t_ns], OVERFLOW, first=1)

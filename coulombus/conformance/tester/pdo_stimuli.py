@@ -215,7 +215,7 @@ class BySyncAfterEvent(Stimulus):
         for _ in range(self.event.times):
             self.event.fire_and_see()
             self.unit.pause(self.unit.timing.quiet_ns)
-            if self.unit.take(self.can_id):
+            if self.unit.pop_frames(self.can_id):
                 raise CaseFailed(f"{self.name} of type 0 comes with the event, before the SYNC")
             frames = self.syncs(2, expected=1)
             self.event.need_frame(bool(frames), f"{self.name} of type 0 with 2 SYNCs after an event")

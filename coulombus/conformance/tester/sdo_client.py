@@ -142,7 +142,7 @@ class SdoClient:
         """Initiate an upload and return the checked response."""
         answer = self.request(head(0x40, index, subindex), index, subindex, "upload of")
         if answer[0] >> 5 != 2 or answer[0] & 0x10:
-            raise _wrong("upload of", index, subindex, f"command {answer[0]:02X}h is no upload response")
+            raise _failure("upload of", index, subindex, f"command {answer[0]:02X}h is no upload response")
         self._same(answer, index, subindex, "upload of")
         return answer
 
@@ -150,9 +150,9 @@ class SdoClient:
         """Read one segment; return its bytes and whether it is the last."""
         answer = self.request(bytes((0x60 | toggle,)) + bytes(7), index, subindex, "upload segment of")
         if answer[0] >> 5 != 0:
-            raise _wrong("upload segment of", index, subindex, f"command {answer[0]:02X}h is no segment")
+            raise _failure("upload segment of", index, subindex, f"command {answer[0]:02X}h is no segment")
         if answer[0] & 0x10 != toggle:
-            raise _wrong("upload segment of", index, subindex, "the toggle bit is not that of the request")
+            raise _failure("upload segment of", index, subindex, "the toggle bit is not that of the request")
         return answer[1 : 8 - (answer[0] >> 1 & 7)], bool(answer[0] & 0x01)
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
@@ -178,12 +178,12 @@ class SdoClient:
             answer = self.request(segment, index, subindex, "download segment to")
             if answer[0] != 0x20 | toggle:
                 text = f"command {answer[0]:02X}h, expected {0x20 | toggle:02X}h"
-                raise _wrong("download segment to", index, subindex, f"{text} (toggle bit {toggle >> 4})")
+                raise _failure("download segment to", index, subindex, f"{text} (toggle bit {toggle >> 4})")
             toggle ^= 0x10
 
     def _downloaded(self, answer: bytes, index: int, subindex: int) -> None:
         if answer[0] != 0x60:
-            raise _wrong("download to", index, subindex, f"command {answer[0]:02X}h, expected 60h")
+            raise _failure("download to", index, subindex, f"command {answer[0]:02X}h, expected 60h")
         self._same(answer, index, subindex, "download to")
 
     def _same(self, answer: bytes, index: int, subindex: int, what: str) -> None:
@@ -203,7 +203,7 @@ class SdoClient:
         request = head(0xA0 | 0x04 * crc, index, subindex, bytes((size, 0)))
         answer = self.request(request, index, subindex, "block upload of")
         if answer[0] >> 5 != 6 or answer[0] & 0x01:
-            raise _wrong("block upload of", index, subindex, f"command {answer[0]:02X}h, expected C0h to C6h")
+            raise _failure("block upload of", index, subindex, f"command {answer[0]:02X}h, expected C0h to C6h")
         self._same(answer, index, subindex, "block upload of")
         return bool(answer[0] & 0x04), int.from_bytes(answer[4:], "little") if answer[0] & 0x02 else None
 
@@ -292,7 +292,7 @@ class SdoClient:
                 raise
             raise NotApplicable(f"the server refuses block downloads ({abort.code:08X}h)") from None
         if answer[0] & 0xFB != 0xA0:
-            raise _wrong("block download to", index, subindex, f"command {answer[0]:02X}h, expected A0h or A4h")
+            raise _failure("block download to", index, subindex, f"command {answer[0]:02X}h, expected A0h or A4h")
         self._same(answer, index, subindex, "block download to")
         if not 1 <= answer[4] <= BLOCK:
             raise CaseFailed(f"block download to {where(index, subindex)}: block size {answer[4]}, expected 1 to 127")
@@ -351,7 +351,7 @@ class SdoClient:
         return agreed
 
 
-def _wrong(what: str, index: int, subindex: int, text: str) -> CaseFailed:
+def _failure(what: str, index: int, subindex: int, text: str) -> CaseFailed:
     """Return the failure of a response, with a cause that does not depend on the object."""
     clause = _BLOCKS if what.startswith("block") else _SDO
     return CaseFailed(f"{what} {where(index, subindex)}: {text}", cause=f"{what} an object: {text}", clause=clause)

@@ -37,7 +37,7 @@ class Timing:
     case_ns: int = 60_000 * MS
 
     @classmethod
-    def of(cls, timeout_s: float) -> Timing:
+    def from_timeout(cls, timeout_s: float) -> Timing:
         """Return the time limits derived from the response time-out."""
         answer_ns = int(timeout_s * 1e9)
         quiet_ns, settle_ns = min(60 * MS, answer_ns), min(20 * MS, answer_ns)
@@ -105,7 +105,7 @@ class Unit(DescribedDevice):
         while self._next(until_ns) is not None or self.link.now_ns() < until_ns:
             pass
 
-    def take(self, can_id: int) -> list[BusFrame]:
+    def pop_frames(self, can_id: int) -> list[BusFrame]:
         """Take the received frames with this identifier."""
         frames = [frame for frame in self._inbox if frame.can_id == can_id]
         self._inbox = [frame for frame in self._inbox if frame.can_id != can_id]
@@ -121,7 +121,7 @@ class Unit(DescribedDevice):
         """Return the frames with this identifier received within `duration_ns` from now."""
         self.flush()
         self.pause(duration_ns)
-        return self.take(can_id)
+        return self.pop_frames(can_id)
 
     def until(self, done: Callable[[], bool]) -> bool:
         """Call `done` repeatedly until it is true, at most for the response time-out; return its last result."""
@@ -138,7 +138,7 @@ class Unit(DescribedDevice):
         while sum(frame.can_id == can_id for frame in self._inbox) < count and self.link.now_ns() < until_ns:
             self._next(until_ns)
         self.pause(self.timing.quiet_ns)
-        return self.take(can_id)
+        return self.pop_frames(can_id)
 
     def wait(self, can_id: int, timeout_ns: int | None = None) -> BusFrame | None:
         """Return the first frame with this identifier, already received or within the time limit."""
@@ -167,7 +167,7 @@ class Unit(DescribedDevice):
             self.pause(self.timing.quiet_ns)
         while self._next(self.link.now_ns()) is not None:
             pass
-        self.take(self.sdo_tx)
+        self.pop_frames(self.sdo_tx)
         self._again, self._changed_state = data if self._changed_state else None, False
         self.send(self.sdo_rx, data)
 

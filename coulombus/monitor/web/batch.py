@@ -42,19 +42,19 @@ class Flow:
     """State of a page: batches sent and acknowledged, and the next bin of each signal."""
 
     sent: int = 0
-    taken: int = 0
+    acknowledged: int = 0
     bins: dict[str, int] = field(default_factory=dict)
 
     @property
     def free(self) -> bool:
         """Whether it may be sent another batch."""
-        return self.sent - self.taken < IN_FLIGHT
+        return self.sent - self.acknowledged < IN_FLIGHT
 
-    def take(self, number: int) -> bool:
+    def acknowledge(self, number: int) -> bool:
         """Note the acknowledgement of batch `number`; False: it was never sent."""
-        if not self.taken < number <= self.sent:
+        if not self.acknowledged < number <= self.sent:
             return False
-        self.taken = number
+        self.acknowledged = number
         return True
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from coulombus.monitor.live import Live
 from coulombus.monitor.snapshot import Event, Snapshot
-from coulombus.monitor.tracks import Envelope, Integers, Samples, Track, velocity
+from coulombus.monitor.tracks import Integers, LiveEnvelope, Samples, Track, velocity
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.axis import Axis
@@ -74,7 +74,7 @@ class Curve:
     friction_Nm: tuple[float, ...]
 
 
-class _Pdo:
+class _DrawnPdo:
     """Kept data of a PDO."""
 
     def __init__(self, pdo: RigPdo, capacity: int) -> None:
@@ -85,11 +85,11 @@ class _Pdo:
         self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
         self.data: bytes | None = None
         self.drawn = tuple(field for field in self.fields if field[0].key in SHOWN)
-        self.samples, self.envelope = Samples(capacity, len(self.drawn)), Envelope(len(self.drawn))
+        self.samples, self.envelope = Samples(capacity, len(self.drawn)), LiveEnvelope(len(self.drawn))
         tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
         self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
 
-    def take(self, t_ns: Integers, words: Integers) -> None:
+    def add_samples(self, t_ns: Integers, words: Integers) -> None:
         """Process the frames of a batch that have this PDO's length."""
         values = np.empty((len(self.drawn), len(t_ns)))
         for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
@@ -120,13 +120,15 @@ class LiveCapture:
         self.rig, self.live = rig, Live(KnownBus(rig))
         period_ns = rig.bus.period_ns
         self._capacity = max(64, 2 * FADE_NS // period_ns)
-        self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
+        self._pdos = {pdo.layout.cob_id: _DrawnPdo(pdo, self._capacity) for pdo in rig.pdos()}
         self._tracks = {name: track for pdo in self._pdos.values() for name, track in pdo.tracks.items()}
         self._differences: list[tuple[Track, Track]] = []
         for axis in rig.axes:
             position = self._tracks.get(axis.prefix + POSITION)
             if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
-                velocity_track = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
+                velocity_track = self._tracks[axis.prefix + VELOCITY] = Track(
+                    Samples(self._capacity), LiveEnvelope(), 0
+                )
                 self._differences.append((velocity_track, position))
         self._names = {
             axis.name: {
@@ -147,12 +149,12 @@ class LiveCapture:
         """Return the signals of each plot of an axis, by the plot's title."""
         return self._names[axis.name]
 
-    def take(self, received: Block | Sequence[Received]) -> None:
+    def add_frames(self, received: Block | Sequence[Received]) -> None:
         """Process the frames of some milliseconds."""
         block = received if isinstance(received, Block) else Block.from_frames(received)
         if not len(block):
             return
-        self.live.take(block)
+        self.live.add_frames(block)
         self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
         self.begin_ns = self.begin_ns or int(block.t_ns.min())
         for can_id, rows in block.rows.items():
@@ -163,7 +165,7 @@ class LiveCapture:
                 continue
             rows = rows[block.lengths[rows] == line.pdo.layout.length]
             if len(rows):
-                line.take(block.t_ns[rows], block.words[rows])
+                line.add_samples(block.t_ns[rows], block.words[rows])
                 line.data = block.data(rows[-1])[: line.pdo.layout.length]
         for k in range(len(self._differences)):
             self._difference(k)
@@ -207,9 +209,9 @@ class LiveCapture:
         (first_ns, before), (last_ns, after) = self._bits[0], self._bits[-1]
         return (after - before) / (bitrate_bit_s * max(last_ns - first_ns, 1) * 1e-9)
 
-    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+    def add_event(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Add an event detected elsewhere."""
-        self.live.tell(t_ns, text, grave)
+        self.live.add_event(t_ns, text, grave)
 
     def snapshot(self, now_ns: int) -> Snapshot:
         """Return the present snapshot, and keep the new events."""

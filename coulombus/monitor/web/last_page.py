@@ -64,7 +64,7 @@ class LastPage:
     name: str = ""
 
     @classmethod
-    def of(cls, content: bytes, token: str) -> LastPage:
+    def from_file(cls, content: bytes, token: str) -> LastPage:
         """Return the page of a kept file.
 
         Raises

@@ -104,7 +104,7 @@ class Page:
         self.stopping = 0
         self.questions = ThreadPoolExecutor(1, "question")  # separate: a stop does not wait for them
         self.asking = 0
-        self._told_s = -1.0
+        self._state_s = -1.0
         self._state: dict[str, Any] | None = None
         self._version = 0
 
@@ -117,16 +117,16 @@ class Page:
         """Send new data to each page that is ready."""
         with self.lock:
             pause_s = 0.0 if self.stopping else STATE_S  # show a stop at once
-            if now_ns * 1e-9 - self._told_s >= pause_s or now_ns * 1e-9 < self._told_s:
-                self._tell(now_ns)
+            if now_ns * 1e-9 - self._state_s >= pause_s or now_ns * 1e-9 < self._state_s:
+                self._update_state(now_ns)
             if self.tip is not None and self.sessions:
-                self.tip.take()
+                self.tip.update()
             for session in self.sessions:
                 if session.flow.free:
                     session.send(self._state, self._version)
 
-    def _tell(self, now_ns: int) -> None:
-        self._told_s = now_ns * 1e-9
+    def _update_state(self, now_ns: int) -> None:
+        self._state_s = now_ns * 1e-9
         if self.tip is not None:
             self.tip.align(self.host.positions())
         snapshot: Snapshot = self.capture.snapshot(now_ns)
@@ -189,8 +189,8 @@ class Page:
             await asyncio.sleep(GOODBYE_S / 100)
         with self.lock:
             with suppress(Exception):
-                self.host.tell(None, self.door.last())
-            self._tell(now_ns)
+                self.host.update(None, self.door.last())
+            self._update_state(now_ns)
             assert self._state is not None
             self._state["final"] = True
             sent = [session.send(self._state, self._version) for session in self.sessions]
@@ -310,7 +310,7 @@ class Data(Guarded, tornado.websocket.WebSocketHandler):
         """Process a message; invalid ones are counted, and too many end the session."""
         text = message if isinstance(message, str) else ""
         took = TOOK.fullmatch(text)
-        if took is not None and self.flow.take(int(took[1])):
+        if took is not None and self.flow.acknowledge(int(took[1])):
             return
         if text == "control":
             self.refused = not self.page.control.acquire(self.number)

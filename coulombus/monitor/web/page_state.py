@@ -108,7 +108,7 @@ class HostView:
         self._word: Mapping[str, Any] | None = None
         self.mode = ""
 
-    def tell(self, status: Mapping[str, Any] | None, word: Mapping[str, Any] | None = None) -> None:
+    def update(self, status: Mapping[str, Any] | None, word: Mapping[str, Any] | None = None) -> None:
         """Process the host's status; None: no host runs, `word` is the final report of the last one.
 
         Values of a wrong type are ignored.

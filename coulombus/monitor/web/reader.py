@@ -32,7 +32,7 @@ class HostReader(ViewThread):
             except Exception:  # no host, or no answer: must not end the page
                 status, word = None, self._word()
             with self._lock:
-                self._view.tell(status, word)
+                self._view.update(status, word)
 
     def _word(self) -> Mapping[str, Any] | None:
         try:

@@ -62,7 +62,7 @@ class TipTrack:
             zero[k] = angles[-1] - position
         self._zero_rad = zero
 
-    def take(self) -> None:
+    def update(self) -> None:
         """Add the points of new samples."""
         newest = self._capture.newest_ns
         if newest <= 0:

@@ -27,7 +27,7 @@ from coulombus.recording.friction.regression import (
     LEAST_CLUSTERS,
     Column,
     Estimate,
-    Levels,
+    SpeedLevels,
     clusters_of,
     correction_reach,
     solve,
@@ -181,7 +181,7 @@ def fit_friction(
     torque: Floats,
     remarks: list[str] | None = None,
     others: Mapping[str, Column] | None = None,
-    levels: Levels | None = None,
+    levels: SpeedLevels | None = None,
 ) -> Fit:
     """Fit friction to the equations of slides.
 

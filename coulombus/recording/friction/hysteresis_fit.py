@@ -94,7 +94,7 @@ def _lagged(values: Floats, lag_s: float, period_s: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Data:
+class _CoilEquations:
     """The equations and the coil's torque for them."""
 
     rows: Equations
@@ -121,7 +121,7 @@ class _Data:
         return solution.x / sizes, X @ (solution.x / sizes) - self.y
 
 
-def _data(recording: Source) -> _Data:
+def _data(recording: Source) -> _CoilEquations:
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     seen = signals(recording)
     whole = np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
@@ -143,7 +143,7 @@ def _data(recording: Source) -> _Data:
     rows = equations(slides, period, seen.count_rad)
     coil = _lagged(np.asarray(seen.brake, np.float64), axis.brake.coil_lag_s, period)
     senses = tuple(float(np.sign(seen.moved[a])) for a, _ in spans)
-    return _Data(rows, spans, senses, coil, period, rows.hand_Nm + rows.motor_Nm)
+    return _CoilEquations(rows, spans, senses, coil, period, rows.hand_Nm + rows.motor_Nm)
 
 
 def identify_iron(recording: Source) -> IronFit:

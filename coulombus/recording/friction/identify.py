@@ -35,7 +35,7 @@ import numpy.typing as npt
 from coulombus.recording.friction.angle_waves import AngleWave, Kind, find_waves, wave_columns
 from coulombus.recording.friction.equations import Equations, equations
 from coulombus.recording.friction.friction_fit import Fit, fit_friction, load_column
-from coulombus.recording.friction.regression import Column, Levels
+from coulombus.recording.friction.regression import Column, SpeedLevels
 from coulombus.recording.friction.sliding import REVERSAL_S, WINDOW_S, IdentifyError, Sliding, sliding
 from coulombus.recording.reading import blocks
 from coulombus.recording.signals import Source
@@ -133,7 +133,7 @@ def identified(
     notes = list(slides.remarks)
     candidates = () if ratio is None else find_waves(slides, ratio, kinds)
     delay = torque_delay(rows, slides)
-    levels = Levels.of(rows.v, count_Nm) if count_Nm > 0 else None
+    levels = SpeedLevels.from_speeds(rows.v, count_Nm) if count_Nm > 0 else None
 
     def fitted(waves: Sequence[AngleWave]) -> Fit:
         columns = wave_columns(waves, rows, slides.slides) | delay

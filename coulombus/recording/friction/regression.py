@@ -29,8 +29,8 @@ __all__ = [
     "CONFIDENCE",
     "Column",
     "Estimate",
-    "Levels",
     "Solution",
+    "SpeedLevels",
     "clusters_of",
     "correction_reach",
     "covariance_of",
@@ -144,7 +144,7 @@ def standard_errors(s: Solution, clusters: list[Integers]) -> tuple[Floats, Floa
 
 
 @dataclass(frozen=True)
-class Levels:
+class SpeedLevels:
     r"""Rows that share a quantisation error: those at one speed, with the sign of their direction.
 
     A controller that holds a speed repeats the same swing of a few counts :math:`\Delta`, or none.
@@ -163,7 +163,7 @@ class Levels:
     error: float
 
     @classmethod
-    def of(cls, v: Floats, count: float) -> Levels:
+    def from_speeds(cls, v: Floats, count: float) -> SpeedLevels:
         """Return the levels of rows at the speeds `v`, for a torque of resolution `count` [Nm]."""
         speed_class = np.floor(np.log(np.maximum(np.abs(v), 1e-9)) / LEVEL_WIDTH).astype(np.int64)
         return cls(speed_class - speed_class.min(), np.sign(v), LEVEL_SHARE * count / math.sqrt(12))

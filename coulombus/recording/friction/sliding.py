@@ -192,7 +192,7 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
     return shown, tuple(dict.fromkeys(notes))
 
 
-class _Samples:
+class _SelectedSamples:
     """Selected samples, and the reasons for the others: each counts for its first reason only."""
 
     def __init__(self, n: int) -> None:
@@ -331,7 +331,7 @@ def sliding(
     size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
     t, x, moved, hand, motor, brake, shown, notes, count = signals(recording)
 
-    samples = _Samples(len(t))
+    samples = _SelectedSamples(len(t))
     samples.keep("not in the display at full gain (arming, gain ramp, after the end)", shown)
     whole = np.isfinite(x) & np.isfinite(hand) & np.isfinite(motor) & np.isfinite(brake)
     samples.keep("a signal is missing in the cycle, or no number", whole)

@@ -103,12 +103,12 @@ class _Objects:
             body = content.read(size - BASE.size)
             content.read(size % 4)
             data = _unpacked(body, at) if kind == LOG_CONTAINER else head + body
-            torn += self._take(self._tail + data)
+            torn += self._read_objects(self._tail + data)
             if len(body) < size - BASE.size:
                 return torn + max(len(self._tail), 1)
         return torn + len(self._tail.strip(b"\0"))
 
-    def _take(self, data: bytes) -> int:
+    def _read_objects(self, data: bytes) -> int:
         """Read the objects of a container and keep its tail, which continues in the next one;
         return the number of bytes outside objects.
         """

@@ -48,7 +48,7 @@ def read(path: str | Path) -> Log:
     if isinstance(rows, str):
         log.remarks.append(f"{size} bytes were left out: asammdf cannot read the file ({rows})")
         return log
-    error_text = python_can.take(path, log, ".mf4")
+    error_text = python_can.read_log(path, log, ".mf4")
     missing = rows - len(log.rows) - sum(count for count, _ in log.losses.values())
     if missing > 0:
         log.lose(f"python-can's reader passes over them{error_text and f' ({error_text})'}", count=missing)

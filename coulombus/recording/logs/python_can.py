@@ -7,10 +7,10 @@ from pathlib import Path
 from coulombus.recording.logs.log import FD, Log
 from coulombus.recording.logs.stamps import float_ns
 
-__all__ = ["take"]
+__all__ = ["read_log"]
 
 
-def take(path: str | Path, log: Log, suffix: str) -> str:
+def read_log(path: str | Path, log: Log, suffix: str) -> str:
     """Read a file into `log` with python-can's reader for a format, by its usual ending ("": that of the file's name);
     return the final error, or "".
     """

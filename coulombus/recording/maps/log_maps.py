@@ -61,7 +61,7 @@ class LogMaps:
         self._misfit: set[int] = set()
         self._came: set[int] = set()
 
-    def take(self, frames: Records) -> bool:
+    def add_frames(self, frames: Records) -> bool:
         """Learn from frames; return whether a map is new or changed, or a PDO comes for the first time."""
         can_id, length = np.ascontiguousarray(frames["can_id"]), np.ascontiguousarray(frames["length"])
         function = can_id & (0x780 | CAN_RTR_FLAG | CAN_EFF_FLAG | CAN_ERR_FLAG)

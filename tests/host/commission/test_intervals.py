@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from coulombus.host.commission.samples import counted_reach, independent, mean_in
 from coulombus.host.commission.step import Given, rounded, shares
-from coulombus.recording.friction.regression import Estimate, Levels, clusters_of, regress, solve, widened
+from coulombus.recording.friction.regression import Estimate, SpeedLevels, clusters_of, regress, solve, widened
 from coulombus.recording.signals import Series
 
 
@@ -115,7 +115,7 @@ def test_the_count_of_a_steady_torque_does_not_average_out():
         columns = {"c": (np.sign(v), 0.0), "b": (v, 0.0)}
         fitted = regress(columns, torque, slide)
         solution = solve(np.column_stack([np.sign(v), v]), torque, np.zeros(2))
-        extra = Levels.of(v, count).variance(solution)
+        extra = SpeedLevels.from_speeds(v, count).variance(solution)
         wide = np.hypot(fitted["c"].reach, 1.96 * np.sqrt(extra[0]))
         held.append(abs(fitted["c"].value - c) <= wide)
         narrow.append(abs(fitted["c"].value - c) <= fitted["c"].reach)

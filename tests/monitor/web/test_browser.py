@@ -37,7 +37,7 @@ def test_the_page_shows_the_bus_stops_the_host_and_comes_back(tmp_path):
     async def run():
         shown = page(door=door)
         frames = cycles(0, 400)
-        shown.capture.take(frames)
+        shown.capture.add_frames(frames)
         recording = recorded(tmp_path / "run.pcapng", frames, shown.capture.rig)
         async with served(shown) as url:
             ticking = asyncio.create_task(tick(shown))
@@ -100,7 +100,7 @@ def test_sliders_change_parameters_and_keys_mark(tmp_path):
 
     async def run():
         shown = page(door=door)
-        shown.capture.take(cycles(0, 400))
+        shown.capture.add_frames(cycles(0, 400))
         async with served(shown) as url:
             ticking = asyncio.create_task(tick(shown, door))
             async with Browser(url, str(tmp_path / "profile")) as browser:
@@ -170,7 +170,7 @@ async def tick(shown, door=None):
     while True:
         if door is not None:
             with shown.lock:
-                shown.host.tell(door.status())
+                shown.host.update(door.status())
             reader.make(rig.one_axis(), shown.host.mode, shown.host.live(""))
         shown.tick(BEGIN_NS + (400 + 120 * k) * MS)
         k += 1

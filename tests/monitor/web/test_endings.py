@@ -50,8 +50,8 @@ class Scene:
         if not self.armed:
             frames = [f for f in frames if f[1] != 0x181]
             frames += [(BEGIN_NS + self.k * MS, 0x181, 8, struct.pack("<Hih", 0x0250, 0, 0))]
-        self.page.capture.take(frames)
-        self.incidents.take(frames)
+        self.page.capture.add_frames(frames)
+        self.incidents.add_frames(frames)
 
     async def going_on(self):
         while True:
@@ -59,9 +59,9 @@ class Scene:
                 extra, self.extra = self.extra, []
                 self._take([*cycles(self.k, 33), *((BEGIN_NS + self.k * MS, *frame) for frame in extra)])
                 self.k += 33
-                self.incidents.look(BEGIN_NS + self.k * MS)
+                self.incidents.update(BEGIN_NS + self.k * MS)
                 ended = self.status is None
-                self.page.host.tell(None if ended else self.door.status() | self.status, self.word if ended else None)
+                self.page.host.update(None if ended else self.door.status() | self.status, self.word if ended else None)
             self.page.tick(BEGIN_NS + self.k * MS)
             await asyncio.sleep(0.02)
 
@@ -123,7 +123,7 @@ def test_the_page_of_a_trip_is_served_again_without_bus_and_host(tmp_path):
         scene.status = None
         await browser.until("frozen !== null")
         seen = [await browser.evaluate(RAW.format(row)) for row in (0, 1)]
-        last = LastPage.of(kept[-1], TOKEN)
+        last = LastPage.from_file(kept[-1], TOKEN)
         async with served(last) as url, Browser(url, str(tmp_path / "later")) as later:
             await later.until("plots.length === 7 && frozen !== null")
             assert [await later.evaluate(RAW.format(row)) for row in (0, 1)] == seen
@@ -147,7 +147,7 @@ def test_the_page_of_a_trip_is_served_again_without_bus_and_host(tmp_path):
 )
 def test_a_kept_page_that_is_damaged_is_refused(content):
     with pytest.raises(WebError, match="the page of the last trip cannot be read"):
-        LastPage.of(content, TOKEN)
+        LastPage.from_file(content, TOKEN)
 
 
 @pytest.mark.thorough

@@ -87,7 +87,7 @@ def test_everything_has_room(tmp_path, size):
         t_ns = shown.capture.newest_ns
         heard = [(t_ns, 0x701, 1, b"\5" + bytes(7)), (t_ns, 0x702, 1, b"\x7f" + bytes(7))]
         emergency = bytes.fromhex("3081110000000000")
-        shown.capture.take([*heard, *((t_ns + k, 0x081 + k % 2, 8, emergency) for k in range(60))])
+        shown.capture.add_frames([*heard, *((t_ns + k, 0x081 + k % 2, 8, emergency) for k in range(60))])
         await browser.until("one('power:brake').textContent.includes('heartbeat')")
         assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
         if size == (1280, 720):

@@ -21,7 +21,7 @@ def capture():
     live_capture = LiveCapture(load_rig("bench"))
     live_capture.snapshot(BEGIN_NS)
     for first in range(0, 2000, 33):
-        live_capture.take(cycles(first, min(33, 2000 - first)))
+        live_capture.add_frames(cycles(first, min(33, 2000 - first)))
     return live_capture
 
 
@@ -54,7 +54,7 @@ def test_the_friction_is_paired_by_time_and_lasts_two_seconds(capture):
 def test_the_state_says_what_the_bus_carries(capture):
     now = BEGIN_NS + 2000 * MS
     host = view()
-    host.tell(STATUS)
+    host.update(STATUS)
     state = document(capture, capture.snapshot(now), FACTS, host)
     assert state["arm"] == "armed"
     assert state["host"]["phase"] == "running"
@@ -72,7 +72,7 @@ def test_nothing_that_the_bus_carries_raises(capture):
         for _ in range(2000)
     ]
     frames += [(BEGIN_NS, pdo.layout.cob_id, n, rng.bytes(8)) for pdo in capture.rig.pdos() for n in range(9)]
-    capture.take(frames)
+    capture.add_frames(frames)
     document(capture, capture.snapshot(BEGIN_NS), FACTS, view())
     batch(capture, capture.rig.one_axis(), Flow(), {})
 
@@ -80,14 +80,14 @@ def test_nothing_that_the_bus_carries_raises(capture):
 def test_the_time_of_a_trip_is_the_host_s_and_lasts_until_the_next_run():
     host = view()
     assert host.tripped_ns is None
-    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:00.300001Z"})
+    host.update({**STATUS, "trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:00.300001Z"})
     assert host.tripped_ns == 1_800_000_000_300_001_000
-    host.tell({**STATUS, "trip": "SPEED: too fast", "tripped": "yesterday"})
+    host.update({**STATUS, "trip": "SPEED: too fast", "tripped": "yesterday"})
     assert host.tripped_ns is None
     host.ended({"trip": "SPEED: too fast", "tripped": "2027-01-15T08:00:01.000000Z"})
     assert host.tripped_ns == 1_800_000_001_000_000_000
-    host.tell(None)
-    host.tell(STATUS)
+    host.update(None)
+    host.update(STATUS)
     assert host.tripped_ns is None
 
 
@@ -111,11 +111,11 @@ def test_equal_incidents_are_one_with_a_count():
 
 def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
     host = view()
-    host.tell({**STATUS, "trip": "SPEED: too fast"})
-    host.tell(None)
+    host.update({**STATUS, "trip": "SPEED: too fast"})
+    host.update(None)
     state = host.as_dict()
     assert (state["runs"], state["trip"], state["entry"]) == (False, "SPEED: too fast", "1. Turn the handle.")
-    host.tell(STATUS)
+    host.update(STATUS)
     assert host.as_dict()["trip"] == ""
 
 
@@ -124,7 +124,7 @@ def test_a_trip_stays_with_the_runbooks_line_until_the_next_run():
 )
 def test_a_hosts_rubbish_is_as_if_not_told(rubbish):
     host = view()
-    host.tell(rubbish)
+    host.update(rubbish)
     assert (host.as_dict()["mode"], host.as_dict()["trip"], host.as_dict()["display_s"]) == ("", "", None)
 
 
@@ -161,14 +161,14 @@ def test_batches_bring_each_bin_and_wait_for_the_page(capture):
     assert set(whole) == {name for row in layout(capture, axis) for name in row["signals"]}
     first, (low, _) = whole["motor.position_rad"]
     assert np.isfinite(low[-100:]).all()
-    capture.take(cycles(2000, 40))
+    capture.add_frames(cycles(2000, 40))
     head, numbers = unpacked(batch(capture, axis, flow, {}))
     part = next(part for part in head["parts"] if part["k"] == "envelope" and part["s"] == "motor.position_rad")
     assert part["first"] == first + len(low) - 1  # the bin that may have grown, and the new ones
     assert part["n"] <= 4
     assert not flow.free
     assert flow.sent == IN_FLIGHT
-    assert [flow.take(n) for n in (3, 0, 2, 2)] == [False, False, True, False]
+    assert [flow.acknowledge(n) for n in (3, 0, 2, 2)] == [False, False, True, False]
     assert flow.free
 
 

@@ -156,7 +156,7 @@ def test_after_a_trip_the_page_stays_and_tells_who_comes_now():
     assert status == 7, err
     assert data["trip"] == told["trip"]
     assert any(trip in data["trip"] for trip in ("NMT_STATE", "TPDO_LOST"))  # whichever is noticed first
-    last = LastPage.of(last_page(address), "token")
+    last = LastPage.from_file(last_page(address), "token")
     assert last.rig_name == "bench"
     head, rows = unpacked(last.batches[""][0])
     raw = {part["s"]: row for part, row in zip(head["parts"], rows, strict=True) if part["k"] == "raw"}

@@ -122,7 +122,7 @@ def test_a_page_that_takes_nothing_is_sent_two_batches_and_blocks_nobody():
         async with served(shown) as url:
             sleeping, awake = await socket_of(url), await socket_of(url)
             for k in range(100):
-                shown.capture.take(cycles(33 * k, 33))
+                shown.capture.add_frames(cycles(33 * k, 33))
                 shown.tick(BEGIN_NS + 33 * (k + 1) * MS)
                 head, _ = unpacked(await awake.read_message())
                 await awake.write_message(f"took {head['n']}")
@@ -297,7 +297,7 @@ def test_rubbish_ends_its_session_and_nothing_else():
                 writer.write(noise.choice([b"", b"GET / HTTP/1.1\r\n", b"POST "]) + noise.randbytes(200) + b"\r\n\r\n")
                 writer.close()
             good = await socket_of(url)
-            shown.capture.take(cycles(0, 33))
+            shown.capture.add_frames(cycles(0, 33))
             shown.tick(BEGIN_NS + 40 * MS)
             assert unpacked(await good.read_message())[0]["state"]["rig"] == "bench"
             assert (door.stops, shown.stopping) == (0, 0)
@@ -368,7 +368,7 @@ def test_a_hundred_thousand_mutilated_orders_change_nothing_beyond_bounds():
             assert F_s_Nm["low"] <= F_s_Nm["value"] <= F_s_Nm["high"]
             bad.close()
             good = await socket_of(url)
-            shown.capture.take(cycles(0, 33))
+            shown.capture.add_frames(cycles(0, 33))
             shown.tick(BEGIN_NS + 40 * MS)
             assert unpacked(await good.read_message())[0]["state"]["rig"] == "bench"
             good.close()

@@ -66,7 +66,7 @@ def frames_of_a_circle(rig, first=0, count=1500, still=False):
 def capture_of(rig, frames):
     capture = LiveCapture(rig)
     capture.snapshot(BEGIN_NS)
-    capture.take(frames)
+    capture.add_frames(frames)
     return capture
 
 
@@ -81,8 +81,8 @@ def test_the_tip_is_where_the_joints_are_and_the_hand_is_resisted(rig):
     capture.snapshot(BEGIN_NS)
     track = tip_track(capture)
     for first in range(0, len(frames), 132):  # a batch each 66 ms
-        capture.take(frames[first : first + 132])
-        track.take()
+        capture.add_frames(frames[first : first + 132])
+        track.update()
         kept.append(len(track.parts()[0][1][0]))
     assert kept[-1] == max(kept) == pytest.approx(200, abs=2)
     (path, velocity, force) = (pair for _, pair in track.parts())
@@ -98,7 +98,7 @@ def test_the_arm_ends_at_the_tip(rig):
     capture = capture_of(rig, frames_of_a_circle(rig, count=300))
     track = tip_track(capture)
     assert track.arm() == []
-    track.take()
+    track.update()
     base, elbow, tip = track.arm()
     assert base == [0.0, 0.0]
     assert (math.dist(base, elbow), math.dist(elbow, tip)) == pytest.approx((0.2, 0.2))
@@ -110,16 +110,16 @@ def test_a_host_that_starts_later_counts_from_its_own_start(rig):
     track = tip_track(capture)
     view = HostView()
     row = {"phase": "run", "parameters": []}
-    view.tell(
+    view.update(
         {"axes": [{"axis": "shoulder", "position_rad": 0.01, **row}, {"axis": "elbow", "position_rad": -0.02, **row}]}
     )
     track.align(view.positions())
-    track.take()
+    track.update()
     start = rig.kinematics.start_rad
     assert track.q_rad == pytest.approx([start[0] + 0.01, start[1] - 0.02])
-    capture.take(frames_of_a_circle(rig, first=800, count=300))  # it moves: the positions are of other times
+    capture.add_frames(frames_of_a_circle(rig, first=800, count=300))  # it moves: the positions are of other times
     track.align({"shoulder": 0.5, "elbow": 0.5})
-    track.take()
+    track.update()
     q = angles(*track.parts()[0][1][:, -1])
     assert track.q_rad == pytest.approx(q, abs=1e-6)
     assert abs(track.q_rad[0] - start[0]) < 0.4
@@ -128,16 +128,16 @@ def test_a_host_that_starts_later_counts_from_its_own_start(rig):
 def test_positions_are_those_of_a_running_host():
     view = HostView()
     assert view.positions() == {}
-    view.tell({"axes": [{"axis": "shoulder", "position_rad": 0.25}, {"axis": "elbow", "position_rad": "x"}, 3]})
+    view.update({"axes": [{"axis": "shoulder", "position_rad": 0.25}, {"axis": "elbow", "position_rad": "x"}, 3]})
     assert view.positions() == {"shoulder": 0.25}
-    view.tell(None)
+    view.update(None)
     assert view.positions() == {}
 
 
 def test_a_batch_has_the_tip_behind_the_other_parts(rig):
     capture = capture_of(rig, frames_of_a_circle(rig, count=400))
     track = tip_track(capture)
-    track.take()
+    track.update()
     head, rows = unpacked(batch(capture, rig.axes[0], Flow(), {"arm": track.arm()}, track.parts()))
     kinds = [part["k"] for part in head["parts"]]
     assert kinds[-3:] == ["tip", "tip_velocity", "tip_force"]
@@ -175,7 +175,7 @@ def test_the_page_of_an_arm_draws_its_tip(tmp_path, rig):
         shown = page("plane", Door())
         ring = law_ring(rig, "hybrid", {})
         shown.ring = lambda: ring
-        shown.capture.take(frames_of_a_circle(rig))
+        shown.capture.add_frames(frames_of_a_circle(rig))
         async with served(shown) as url:
             ticking = asyncio.create_task(tick(shown))
             async with Browser(url, str(tmp_path / "profile")) as browser:

@@ -99,7 +99,7 @@ def test_the_live_view_of_the_simulated_rig():
         while True:
             assert time.monotonic() < deadline
             client.wait(0.1)
-            live.take(client.receive())
+            live.add_frames(client.receive())
             snapshot = live.snapshot(time.time_ns())
             if all(row.count > 2 for row in snapshot.pdos if "TPDO" in row.name):
                 break
