@@ -8,7 +8,7 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 
 from __future__ import annotations
 
-from coulombus.kernels.decorator import kernel
+from coulombus.kernels.decorator import inlined
 from coulombus.node import core
 from coulombus.node.record import NodeRecord
 from coulombus.wire.clock import own_ns, to_bus
@@ -17,7 +17,7 @@ from coulombus.wire.frame import Queue
 __all__ = ["confinement_changed", "on_frame", "on_time"]
 
 
-@kernel
+@inlined
 def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> int:
     """Call `node.core.on_frame`, at the bus time `t_ns`."""
     first, node_ns = out.count, own_ns(n, t_ns)
@@ -27,7 +27,7 @@ def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out:
     return int(due)
 
 
-@kernel
+@inlined
 def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Call `node.core.on_time`, at the bus time `t_ns`."""
     first, node_ns = out.count, own_ns(n, t_ns)
@@ -36,7 +36,7 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
         to_bus(n, out, first)
 
 
-@kernel
+@inlined
 def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) -> None:
     """Call `node.core.confinement_changed`, at the bus time `t_ns`."""
     first, node_ns = out.count, own_ns(n, t_ns)
