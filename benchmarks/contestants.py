@@ -220,14 +220,14 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
         if isinstance(plane, LoadedPlane):
             plane.wait_loaded()
         with nodes_up(bus):
-            plane.take()
+            plane.take_frames()
             period = int(k.control["period_ns"][0])
             plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
             seen = {0x80: 0, **{int(pdo["cob_id"]): 0 for pdo in k.each[0].tpdos if pdo["cob_id"] >= 0}}
             end = time.monotonic() + seconds
 
             def count() -> None:
-                ids = plane.take()["can_id"]
+                ids = plane.take_frames()["can_id"]
                 for one in seen:
                     seen[one] += int((ids == one).sum())
 

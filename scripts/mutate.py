@@ -113,7 +113,7 @@ TARGETS = {
             f"RealCourse.{name}"
             for name in (
                 *("mark", "_why_no_change", "_apply", "_watch_keys", "drain", "_give_up_recording", "stop", "set_up"),
-                *("_await_hand", "armed", "_arm", "display", "_fail", "_attempt", "make_safe", "look", "_supervise"),
+                *("_await_hand", "armed", "_arm", "display", "_fail", "_attempt", "make_safe", "advance", "_supervise"),
                 *("_plane_gone", "_never_cycled", "end", "close", "trip", "_lost_share", "_exit_status", "figures"),
                 "result",
             )
@@ -124,13 +124,22 @@ TARGETS = {
     "host/realtime/data_plane.py": Target(
         ("test_data_plane_edges",),
         (
-            "Spread.of",
+            "Spread.from_bins",
             "rig_filters",
             *(
                 f"DataPlane.{name}"
                 for name in (
                     *("pid", "wait_ready", "status", "cycles", "alive", "fate", "lost_text", "start_cycle", "stop"),
-                    *("attend", "hold_deadman", "order", "end_cycle", "await_end", "take", "take_trace", "close"),
+                    *(
+                        "attend",
+                        "hold_deadman",
+                        "publish_order",
+                        "end_cycle",
+                        "await_end",
+                        "take_frames",
+                        "take_trace",
+                        "close",
+                    ),
                     *("wakeup", "latency", "cpu_us_per_cycle", "counters"),
                 )
             ),
@@ -139,7 +148,7 @@ TARGETS = {
     "host/setup/settings.py": Target(("test_settings_edges",)),
     "sim_bus/server/bridge.py": Target(
         ("test_bridge_edges",),
-        ("faults", "Result.exit_status", "_Way.__init__", "_Way.take", "_Way.give", "_Way.next_ns"),
+        ("faults", "Result.exit_status", "_Way.__init__", "_Way.receive", "_Way.give", "_Way.next_ns"),
     ),
     "sim_bus/server/live_nodes.py": Target(
         ("test_live_nodes_edges",),
@@ -148,7 +157,7 @@ TARGETS = {
                 f"LiveNodes.{name}"
                 for name in (
                     *("__post_init__", "_open", "_commission", "make_world", "_devices", "_heard", "_check_kind"),
-                    "_tell",
+                    "_report",
                 )
             ),
             "serves",

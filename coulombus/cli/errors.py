@@ -30,7 +30,7 @@ from coulombus.system.c_library import NeedsLinux
 from coulombus.system.errors import CoulombusError
 from coulombus.system.exit import abandon_stdout, say, verdict
 from coulombus.system.foreign_text import printable
-from coulombus.system.stop_signals import Stopped, as_exceptions, raised, status_of, told
+from coulombus.system.stop_signals import Stopped, as_exceptions, end_line, raised, status_of
 
 __all__ = [
     "EXIT_STATUS",
@@ -301,7 +301,7 @@ def _has_folder() -> bool:
 
 
 def _by_signal(number: int) -> Failure:
-    return Failure(told(number), status_of(number))
+    return Failure(end_line(number), status_of(number))
 
 
 def _end(failure: Failure) -> NoReturn:

@@ -30,7 +30,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from coulombus.kernels.kernel_cache import alone, choose, kept
+from coulombus.kernels.kernel_cache import alone, choose, is_cached
 from coulombus.kernels.sources import source_key, source_stamp
 
 __all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_warm", "kernel", "warming"]
@@ -113,7 +113,7 @@ def is_warm(arm: bool = True) -> bool:
 
     Without `arm`, a start with an arm in the plane may still compile.
     """
-    return JIT_DISABLED or any(kept(CACHE_DIR, _warmed(with_arm)) for with_arm in {True, arm})
+    return JIT_DISABLED or any(is_cached(CACHE_DIR, _warmed(with_arm)) for with_arm in {True, arm})
 
 
 @contextmanager

@@ -33,7 +33,7 @@ from coulombus.kernels.compile_notice import compiling
 from coulombus.system.file_lock import lock_file
 from coulombus.system.private_folder import make_private, reason_against, reason_against_above
 
-__all__ = ["LONGEST_S", "MARKER", "alone", "choose", "damaged", "empty", "kept", "leave_lock_to_parent", "say"]
+__all__ = ["LONGEST_S", "MARKER", "alone", "choose", "damaged", "empty", "is_cached", "leave_lock_to_parent", "say"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
@@ -76,7 +76,7 @@ def choose(key: str) -> Path | None:
     return directory
 
 
-def kept(directory: Path | None, name: str) -> bool:
+def is_cached(directory: Path | None, name: str) -> bool:
     """Tell whether a process has compiled, or loaded, the entry `name`."""
     with suppress(OSError):
         return directory is not None and name in (directory / ENTRIES).read_text().split()
@@ -93,7 +93,7 @@ def alone(directory: Path | None, name: str) -> Iterator[None]:
 
     A process of `leave_lock_to_parent` does not wait.
     """
-    if directory is None or kept(directory, name):
+    if directory is None or is_cached(directory, name):
         yield
         return
     lock = None
@@ -160,7 +160,7 @@ def _places() -> Iterator[Path]:
         yield lost / OURS
 
 
-def _own(path: Path) -> bool:
+def _is_own_directory(path: Path) -> bool:
     """Tell whether `path` is a directory of this user, and no link."""
     with suppress(OSError):
         status = path.lstat()
@@ -275,7 +275,9 @@ def _others(directory: Path) -> list[Path]:
     except OSError:
         return []
     folders = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
-    return sorted((folder for folder in folders if _own(folder) and _used_ns(folder)), key=_used_ns, reverse=True)
+    return sorted(
+        (folder for folder in folders if _is_own_directory(folder) and _used_ns(folder)), key=_used_ns, reverse=True
+    )
 
 
 def _used_ns(directory: Path) -> int:

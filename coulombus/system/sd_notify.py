@@ -37,7 +37,7 @@ class Notifier:
         self._told_s = -float("inf")
         self._progress: object = None
 
-    def tell(self, **lines: str | int) -> None:
+    def send(self, **lines: str | int) -> None:
         """Send one message: ``READY=1``, ``STATUS=text``."""
         if not self._address.startswith(("\0", "/")):
             return
@@ -58,7 +58,7 @@ class Notifier:
         if now - self._told_s < self._period_s:
             return
         self._progress, self._told_s = progress, now
-        self.tell(WATCHDOG=1)
+        self.send(WATCHDOG=1)
 
 
 def _period_s(environment: MutableMapping[str, str]) -> float | None:

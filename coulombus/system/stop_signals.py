@@ -32,12 +32,12 @@ __all__ = [
     "as_exceptions",
     "at_once",
     "end_at_once",
+    "end_line",
     "forget",
     "ignore",
     "raised",
     "status_of",
     "taken",
-    "told",
 ]
 
 SIGNALS: tuple[int, ...] = tuple(
@@ -99,7 +99,7 @@ def taken(handler: Handler) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if previous is None else previous)
 
 
-def told(number: int, when: str = "") -> str:
+def end_line(number: int, when: str = "") -> str:
     """Return the line that reports a verb's end by a signal."""
     return "interrupted" if number == signal.SIGINT and not when else f"ended by {Stopped(number, when)}"
 
@@ -109,7 +109,7 @@ def end_at_once(number: int, when: str = "") -> NoReturn:
     clean up.
     """
     with suppress(OSError):
-        os.write(2, f"coulombus: {told(number, when)}\n".encode())
+        os.write(2, f"coulombus: {end_line(number, when)}\n".encode())
     os._exit(status_of(number))
 
 

@@ -28,7 +28,7 @@ def offer(live: LiveRecord, number: int, values: Any, cycles: int) -> None:
 
 
 @kernel
-def _take(axis: AxisRecord) -> None:
+def _begin_transition(axis: AxisRecord) -> None:
     """Begin the transition from the present values to the newest order."""
     live, law = axis.live, axis.law
     order = live.offered[live.wanted & 1]
@@ -61,7 +61,7 @@ def follow(axis: AxisRecord) -> None:
     """
     live, law, state = axis.live, axis.law, axis.state
     if live.wanted != live.taken:
-        _take(axis)
+        _begin_transition(axis)
     if live.cycle >= live.cycles:
         return
     live.cycle += 1

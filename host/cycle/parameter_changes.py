@@ -206,7 +206,7 @@ class _Axis:
         self.value = {name: parameter.value for name, parameter in self.table.items()}
         self.number = 0
 
-    def order(self, values: Mapping[str, float]) -> Floats:
+    def full_record(self, values: Mapping[str, float]) -> Floats:
         """Return the full record of an order: `values`, and the present targets of all other parameters."""
         record = self._present()
         for name, parameter in self.table.items():
@@ -269,7 +269,7 @@ class LiveParameters:
         reason = next(filter(None, reasons), None) or _pairs(axis, {**axis.value, **values}, values)
         if reason is not None:
             raise ChangeRefused(reason)
-        return axis.order(values)
+        return axis.full_record(values)
 
     def change(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
         """Write the order that brings an axis to other values within `over_s`.
@@ -297,7 +297,7 @@ class LiveParameters:
             if name in goals:
                 raise ChangeRefused(f"{name} is given twice")
             goals[name] = float(value)
-        change = self._order(index, goals, over_s, {name: live_axis.value[name] for name in goals})
+        change = self._offer(index, goals, over_s, {name: live_axis.value[name] for name in goals})
         self._made = [*self._made, (index, {changed.name: changed.old for changed in change.values})][-UNDONE:]
         return change
 
@@ -312,11 +312,11 @@ class LiveParameters:
         if not self._made:
             raise ChangeRefused("there is no change to undo")
         index, old = self._made[-1]
-        change = self._order(index, old, over_s, {name: self._axes[index].value[name] for name in old}, undo=True)
+        change = self._offer(index, old, over_s, {name: self._axes[index].value[name] for name in old}, undo=True)
         self._made.pop()
         return change
 
-    def _order(
+    def _offer(
         self, index: int, goals: Mapping[str, float], over_s: float, old: Mapping[str, float], *, undo: bool = False
     ) -> Change:
         axis = self._axes[index]
@@ -331,7 +331,7 @@ class LiveParameters:
             raise NotTaken("the change before has not been taken yet: the host does not cycle")
         over_s = max(over_s, self._gentle_s(axis, goals, old))
         number, cycles = self._number + 1, max(1, round(over_s / self._period_s))
-        offer(axis.controller.live[0], number, axis.order(goals), cycles)
+        offer(axis.controller.live[0], number, axis.full_record(goals), cycles)
         self._number = axis.number = number
         axis.value.update(goals)
         values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in goals.items())
@@ -434,6 +434,6 @@ def orders_of(markers: Iterable[str], controllers: Controllers) -> dict[int, Par
             goals.setdefault(owner, {})[plain] = float.fromhex(exact.rpartition(">")[2])
         for owner, values in goals.items():
             index, axis = axes[owner]
-            orders[int(match[1])] = ParameterOrder(index, axis.order(values), int(match[3]))
+            orders[int(match[1])] = ParameterOrder(index, axis.full_record(values), int(match[3]))
             axis.value.update(values)
     return orders

@@ -16,7 +16,7 @@ from coulombus.kernels.records import RecordArray
 from coulombus.recording.host_telemetry import FIRST, GAIN, OF_WORLD, PER_AXIS, SOURCE_INSIDE, Limit
 from coulombus.wire.frame import Frame, Records
 
-__all__ = ["tell", "tell_all"]
+__all__ = ["write_axes", "write_axis"]
 
 MOST_GAIN = round(1.0 / GAIN)
 MOST_AGE = 127
@@ -63,7 +63,7 @@ def _two(first: float, second: float) -> int:
 
 
 @kernel
-def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
+def write_axis(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
     """Write the telemetry of the finished cycle of axis `number` into `rows`, from `row` on; return the
     next row.
 
@@ -99,8 +99,8 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
 
 
 @kernel
-def tell_all(axes: AxisRecords, t_ns: int, rows: RecordArray[Frame], row: int) -> int:
+def write_axes(axes: AxisRecords, t_ns: int, rows: RecordArray[Frame], row: int) -> int:
     """Write the telemetry of all axes; return the next row."""
     for k in range(axes.shape[0]):
-        row = tell(axes[k], k, t_ns, rows, row)
+        row = write_axis(axes[k], k, t_ns, rows, row)
     return row

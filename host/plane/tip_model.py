@@ -129,7 +129,7 @@ def _moving(w: LocalModelRecord, plane: PlaneHostRecord, x: float, y: float) -> 
 
 
 @kernel
-def _kept(plane: PlaneHostRecord, x: float, y: float) -> float:
+def _deliverable_share(plane: PlaneHostRecord, x: float, y: float) -> float:
     """Return the share of a force (x, y) that the motors can exert beside the law's push, 0 to 1."""
     kept = 1.0
     for i in range(JOINTS):
@@ -152,7 +152,7 @@ def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
     ahead_x, ahead_y = x + plane.motion.v_m_s[0] * w.ahead_s, y + plane.motion.v_m_s[1] * w.ahead_s
     ex, ey = _elastic(w, ahead_x, ahead_y)
     dx, dy, ax, ay = _moving(w, plane, ahead_x, ahead_y)
-    kept = 0.0 if w.mode == PASSIVE else _kept(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
+    kept = 0.0 if w.mode == PASSIVE else _deliverable_share(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
     w.psi_N[0], w.psi_N[1] = plane.gain * (ex + ax + dx), plane.gain * (ey + ay + dy)
     w.push_N[0], w.push_N[1] = plane.gain * kept * (ex + ax), plane.gain * kept * (ey + ay)
     m = w.offered[w.taken % OFFERS]

@@ -56,8 +56,8 @@ __all__ = [
     "Buffers",
     "drain",
     "failed",
+    "receive_message",
     "stop",
-    "take",
     "transmit",
     "watch",
 ]
@@ -155,7 +155,7 @@ def lose(b: Buffers, k: int, error: int) -> int:
 
 
 @kernel
-def take(b: Buffers, k: int, live: int) -> int:
+def receive_message(b: Buffers, k: int, live: int) -> int:
     """Receive one message of a bus if there is one; `live`: pass its frames to the cycle."""
     p, c, words = b.plane[0], b.axes[0].control, b.words
     if b.fds[k] < 0:
@@ -274,7 +274,7 @@ def drain(b: Buffers) -> int:
         result = TOOK
         messages = 0
         while result != EMPTY and messages < DRAIN_MESSAGES:
-            result = take(b, k, 1)
+            result = receive_message(b, k, 1)
             messages += 1
             if result == GONE:
                 return 1

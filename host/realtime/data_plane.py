@@ -57,7 +57,7 @@ class Spread:
     max: float
 
     @classmethod
-    def of(cls, bins: np.ndarray[Any, np.dtype[np.int64]], max_ns: int) -> Spread | None:
+    def from_bins(cls, bins: np.ndarray[Any, np.dtype[np.int64]], max_ns: int) -> Spread | None:
         """Return the spread of a histogram with bins of 1 us; None if it is empty."""
         total = int(bins.sum())
         if total == 0:
@@ -258,7 +258,7 @@ class DataPlane:
         """Count the dead man's switch as held until CLOCK_MONOTONIC = `until_ns`."""
         self.shared.plane["deadman_ns"] = until_ns
 
-    def order(self, axis: int, number: int) -> None:
+    def publish_order(self, axis: int, number: int) -> None:
         """Publish order `number` in the axis' buffer, which the step takes in the next cycle."""
         plane = self.shared.plane
         plane["order_axis"] = axis
@@ -275,7 +275,7 @@ class DataPlane:
             self.attend()
             time.sleep(2e-3)
 
-    def take(self) -> Records:
+    def take_frames(self) -> Records:
         """Return copies of the frames logged since the last call, with stamps of CLOCK_MONOTONIC."""
         count = take_log(self.shared.plane, self.shared.ring, self._batch)
         return self._batch[:count].copy()
@@ -316,15 +316,15 @@ class DataPlane:
 
     def wakeup(self) -> Spread | None:
         """Wake-up delay of the cycle."""
-        return Spread.of(self.shared.wakeup_bins, int(self.shared.plane["wakeup_max_ns"][0]))
+        return Spread.from_bins(self.shared.wakeup_bins, int(self.shared.plane["wakeup_max_ns"][0]))
 
     def latency(self) -> Spread | None:
         """Time from SYNC sent to the last RPDO sent."""
-        return Spread.of(self.shared.latency_bins, int(self.shared.plane["latency_max_ns"][0]))
+        return Spread.from_bins(self.shared.latency_bins, int(self.shared.plane["latency_max_ns"][0]))
 
     def skew(self) -> Spread | None:
         """Time from the first bus' SYNC to the last bus' SYNC of a cycle, as sent; None on one bus."""
-        return Spread.of(self.shared.skew_bins, int(self.shared.plane["skew_max_ns"][0]))
+        return Spread.from_bins(self.shared.skew_bins, int(self.shared.plane["skew_max_ns"][0]))
 
     def cpu_us_per_cycle(self) -> float | None:
         """CPU time of the loop for one cycle."""

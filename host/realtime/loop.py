@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from coulombus.host.cycle.axes import WINDOW_OPEN, WINDOW_OVER, begin, finish, ramps_a_brake, safe_setpoints
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
-from coulombus.host.cycle.telemetry import tell
+from coulombus.host.cycle.telemetry import write_axis
 from coulombus.host.realtime.bus_sockets import (
     COMPLETE,
     DRAIN_MESSAGES,
@@ -32,8 +32,8 @@ from coulombus.host.realtime.bus_sockets import (
     Buffers,
     drain,
     failed,
+    receive_message,
     stop,
-    take,
     transmit,
     watch,
 )
@@ -66,10 +66,10 @@ END_ATTEMPTS = 20  # for the last set-points, which no cycle repeats
 
 
 @kernel
-def _tell(b: Buffers, t_ns: int) -> None:
+def _log_telemetry(b: Buffers, t_ns: int) -> None:
     """Log the telemetry of all axes, after the frames of their cycle."""
     for k in range(b.axes.shape[0]):
-        for i in range(tell(b.axes[k], k, t_ns, b.told, 0)):
+        for i in range(write_axis(b.axes[k], k, t_ns, b.told, 0)):
             f = b.told[i]
             log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
 
@@ -151,7 +151,7 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
         for k in range(len(b.fds)):
             if b.poll[k] >> 48 == 0:
                 continue
-            result = take(b, k, 1)
+            result = receive_message(b, k, 1)
             messages += 1
             if result == GONE:
                 return 1
@@ -227,7 +227,7 @@ def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) ->
             return 1
         done = now_ns()
         tell_world(b.world_fd, b.world_state, b.axes, done)
-        _tell(b, done)
+        _log_telemetry(b, done)
         if displays:
             _count(b.latency_bins, done - sync)
             p.latency_max_ns = max(p.latency_max_ns, done - sync)
@@ -274,7 +274,7 @@ def run_plane(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None 
             store_release(base + AT_STATUS, PlaneStatus.LISTENING)
             empty = 1
             for k in range(len(b.fds)):
-                empty = empty if take(b, k, 0) == EMPTY else 0
+                empty = empty if receive_message(b, k, 0) == EMPTY else 0
             lost = p.lost_bus != 0  # before anything is armed, one bus is enough
             if empty and ppoll_ns(b.poll.ctypes.data, len(b.fds), LISTEN_NS) < 0:
                 lost = failed(p)

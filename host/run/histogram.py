@@ -49,7 +49,7 @@ def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Pat
             (latency, VERMILION, "SYNC to last RPDO"),
         ):
             edges, counts = coarse(bins)
-            spread = Spread.of(bins, len(bins) * 1000)
+            spread = Spread.from_bins(bins, len(bins) * 1000)
             if spread is None:
                 continue
             legend = f"{name}: p50 {spread.p50:g} us, p99 {spread.p99:g} us"

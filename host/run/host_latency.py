@@ -103,11 +103,11 @@ def _cycle(plane: DataPlane, controllers: Controllers, cycles: int, progress: Ca
     while plane.cycles < cycles and plane.alive and time.monotonic() < ends:
         time.sleep(BATCH_S)
         plane.attend()
-        batches.append(plane.take())
+        batches.append(plane.take_frames())
         progress(min(plane.cycles, cycles))
     plane.end_cycle()
     time.sleep(BATCH_S)
-    batches.append(plane.take())
+    batches.append(plane.take_frames())
     log = np.concatenate(batches).view(np.recarray)
     return compute_times_ns(
         log, [(_identifiers(controller.tpdos), _identifiers(controller.rpdos)) for controller in controllers]

@@ -125,7 +125,7 @@ class RealCourse(Course):
 
     def _apply(self, change: Change) -> None:
         """Publish a change, which the step takes in the next cycle; set its marker."""
-        self.plane.order(change.index, change.number)
+        self.plane.publish_order(change.index, change.number)
         self.mark(self.now_ns, change.marker)
 
     def _watch_keys(self) -> None:
@@ -140,7 +140,7 @@ class RealCourse(Course):
         With `seen_ns`, later frames wait for the next batch. All markers up to `seen_ns` are set by then:
         a frame that could still get a marker is not written.
         """
-        rows, frames, models = self.plane.take_trace(), self.plane.take(), self.world.models.take_rows()
+        rows, frames, models = self.plane.take_trace(), self.plane.take_frames(), self.world.models.take_rows()
         if self.recorder is None or self.failure is not None:
             return
         self.record(lambda recorder: recorder.keep_models(models))
@@ -230,7 +230,7 @@ class RealCourse(Course):
 
     def display(self, seconds: float | None) -> None:
         """Tell the service manager that the host is ready, and display."""
-        self.notifier.tell(READY=1, STATUS=f"cycling on {self.buses} in mode {self.controllers.mode}")
+        self.notifier.send(READY=1, STATUS=f"cycling on {self.buses} in mode {self.controllers.mode}")
         super().display(seconds)
 
     def _fail(self, error: Exception) -> None:
@@ -259,7 +259,7 @@ class RealCourse(Course):
         The data plane reaches it by itself: an error here interrupts supervision, and the wait goes on.
         """
         deadline, failures = 0, 0
-        self._attempt(lambda: self.notifier.tell(STOPPING=1, STATUS="ending safely"))
+        self._attempt(lambda: self.notifier.send(STOPPING=1, STATUS="ending safely"))
         while failures < FAILURES:
             try:
                 self.plane.stop()

@@ -148,7 +148,7 @@ class Hand:
             elif self._begin is not None:
                 self._begin.append(record)
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         """Read, renew the models, and raise what the host has refused."""
         self._receive()
         self._renew()
@@ -171,7 +171,7 @@ class Hand:
         ModelRefused
             the host has refused a model; the text gives the reason
         """
-        self._look()
+        self._update()
         if self._newest is None and not self._states:
             return self.next()
         if self._states:
@@ -193,13 +193,13 @@ class Hand:
             the host has refused a model; the text gives the reason
         """
         if not self._states:
-            self._look()
+            self._update()
         while not self._states:
             if self._ended:
                 raise NoWorld("the host has ended")
             if not self._wait(self._patience_s):
                 raise NoWorld(self._silence)
-            self._look()
+            self._update()
         self._renew()
         self._newest = self._states.popleft()
         return self._newest
@@ -219,7 +219,7 @@ class Hand:
         """Return the next state, as `next`, in a coroutine."""
         while not self._states and not self._ended:
             await self._readable()
-            self._look()
+            self._update()
         return self.next()
 
     async def __aiter__(self) -> AsyncIterator[State]:
@@ -294,7 +294,7 @@ class Hand:
         self._models[axis] = model
         record["profile"], record["axis"] = self._profiles, axis
         self._send(axis, record)
-        self._look()
+        self._update()
         return self._sequence
 
     def _renew(self) -> None:

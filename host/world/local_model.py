@@ -44,7 +44,7 @@ def _clip(value: float, limit: float) -> float:
 
 
 @kernel
-def _take(w: LocalModelRecord) -> bool:
+def _adopt_newest(w: LocalModelRecord) -> bool:
     """Change to the newest model; return whether its field begins."""
     before = w.offered[w.taken % OFFERS].parts if w.share > 0.0 else 0
     w.taken = w.wanted
@@ -63,7 +63,7 @@ def advance_model(w: LocalModelRecord) -> bool:
     """Begin a cycle: take the newest model, count its time to live, and fade; return whether a field begins."""
     begins = False
     if w.wanted != w.taken:
-        begins = _take(w)
+        begins = _adopt_newest(w)
     elif w.left_ns > 0:
         w.left_ns -= w.period_ns
     if w.left_ns <= 0 and w.share > 0.0:

@@ -73,7 +73,7 @@ class Relay:
 
     # from the client to the host
 
-    def take(self, message: str | bytes) -> bytes:
+    def translate(self, message: str | bytes) -> bytes:
         """Return the records of a client's message; a malformed one is counted, and refused in `batch`.
 
         Raises

@@ -213,7 +213,7 @@ class WorldServer:
 
     def _run(self) -> None:
         try:
-            while self._look():
+            while self._serve_once():
                 pass
         except Exception as error:
             say(f"coulombus: the socket for a world is closed: {type(error).__name__}: {error}")
@@ -222,7 +222,7 @@ class WorldServer:
                     program.connection.shutdown(socket.SHUT_RDWR)
             self._controller = None
 
-    def _look(self) -> bool:
+    def _serve_once(self) -> bool:
         """Wait for something to do, and do it; return False when the server is closed."""
         poll = select.poll()
         for reader in (self._stop, self._listener, *([] if self._states_over else [self._states])):
@@ -247,7 +247,7 @@ class WorldServer:
                 program.flush()
             if events & (select.POLLIN | select.POLLHUP | select.POLLERR):
                 for kind, record in program.receive():
-                    self._take(program, kind, record)
+                    self._accept_record(program, kind, record)
         if self._listener.fileno() in ready:
             self._let_in()
         now_ns = time.monotonic_ns()
@@ -298,7 +298,7 @@ class WorldServer:
         self._last[axis] = sequence
         return max(sequence - last - 1, 0)
 
-    def _take(self, program: _Program, kind: Kind, record: bytes) -> None:
+    def _accept_record(self, program: _Program, kind: Kind, record: bytes) -> None:
         if not program.greeted:
             self._greet(program, kind, record)
         elif kind == Kind.MODEL:

@@ -26,7 +26,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
 from coulombus.host.cycle.records import AxisRecords, LawFunction, PlaneFunctions
-from coulombus.host.cycle.telemetry import tell_all
+from coulombus.host.cycle.telemetry import write_axes
 from coulombus.kernels.decorator import inlined, kernel
 from coulombus.kernels.numba_inside import borrowed
 from coulombus.kernels.records import Floats, IntegerField, Integers, RecordArray, dtype_of
@@ -370,7 +370,7 @@ def run(
                 if w.clock_on + w.keep_sent != 0:
                     _keep(w, out, first)
                 if w.tells != 0:
-                    w.told_count = tell_all(host.axes, t, host.told, w.told_count)
+                    w.told_count = write_axes(host.axes, t, host.told, w.told_count)
         elif what == DEVICE:
             i = next_device(deadlines)
             a = axis_of[i]
@@ -409,7 +409,7 @@ def run(
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                     if w.tells != 0:
-                        w.told_count = tell_all(host.axes, t, host.told, w.told_count)
+                        w.told_count = write_axes(host.axes, t, host.told, w.told_count)
                 elif request == 2:
                     w.control_plane = 1
             w.heard = world.listening[b.can_id] if plain else w.listen_all

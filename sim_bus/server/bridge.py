@@ -212,7 +212,7 @@ def bridge(
         result = Result({name: way.counts for name, way in ways.items()})
         notifier = Notifier()
         ready(a, b)
-        notifier.tell(READY=1, STATUS=f"{a} and {b} are joined")
+        notifier.send(READY=1, STATUS=f"{a} and {b} are joined")
         begin = time.monotonic()
         end = None if seconds is None else begin + seconds
         try:
@@ -220,7 +220,7 @@ def bridge(
         except BusUnavailable as error:
             result.gone = str(error)
         finally:
-            notifier.tell(STOPPING=1)
+            notifier.send(STOPPING=1)
             result.seconds = time.monotonic() - begin
         return result
 

@@ -49,7 +49,7 @@ def run_sim(
     def ready() -> None:
         with printed():  # the bus is ready, even if nobody reads this
             (report_ready or _report_ready)(server, as_json)
-        notifier.tell(READY=1, STATUS=f"bus {server.name}")
+        notifier.send(READY=1, STATUS=f"bus {server.name}")
 
     def course() -> None:
         try:
@@ -75,7 +75,7 @@ def run_sim(
                     notifier.alive(server.wakeups)
             thread.join()
     finally:
-        notifier.tell(STOPPING=1)
+        notifier.send(STOPPING=1)
         for open_server in live_servers:
             open_server.close()
     if failure:

@@ -34,7 +34,7 @@ def test_messages_are_lines_and_the_children_inherit_nothing(manager):
     variables = environment(manager, WATCHDOG_USEC="5000000", WATCHDOG_PID=str(os.getpid()))
     notifier = Notifier(variables)
     assert variables == {"PATH": "/bin"}
-    notifier.tell(READY=1, STATUS="two\nlines")
+    notifier.send(READY=1, STATUS="two\nlines")
     assert heard(manager) == ["READY=1\nSTATUS=two lines"]
 
 
@@ -65,14 +65,14 @@ def test_where_nobody_waits_for_a_sign_of_life_none_is_given(manager, variables)
 @pytest.mark.parametrize("name", ["", "relative", "/proc/nonexistent/socket", "@", "@nobody-listens", "/" + "x" * 200])
 def test_a_manager_that_is_not_there_is_no_error(name):
     notifier = Notifier({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "1"})
-    notifier.tell(READY=1)
+    notifier.send(READY=1)
     notifier.alive(1)
 
 
 def test_a_manager_that_does_not_read_holds_nobody_up(manager):
     notifier = Notifier(environment(manager))
     for _ in range(10_000):
-        notifier.tell(STATUS="x" * 100)
+        notifier.send(STATUS="x" * 100)
     assert 0 < len(heard(manager)) < 10_000
 
 

@@ -52,7 +52,7 @@ class ClientRelay(Protocol):
 
     malformed: int
 
-    def take(self, message: str | bytes) -> bytes:
+    def translate(self, message: str | bytes) -> bytes:
         """Return the records of a client's message; a malformed one is counted and raises CoulombusError."""
 
     def receive(self, data: bytes) -> None:
@@ -152,7 +152,7 @@ class WorldClient(Guarded, tornado.websocket.WebSocketHandler):
         if self._host is None:
             return
         try:
-            self._host.write(self.relay.take(message))
+            self._host.write(self.relay.translate(message))
         except CoulombusError:
             self._pending.set()
             if self.relay.malformed >= MALFORMED:

@@ -5,7 +5,7 @@ import pytest
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, Trip
-from coulombus.host.cycle.telemetry import tell, tell_all
+from coulombus.host.cycle.telemetry import write_axes, write_axis
 from coulombus.recording.host_telemetry import (
     FIRST,
     MOST_FRAMES,
@@ -34,7 +34,7 @@ def told(rig="bench", mode="hybrid", **fields):
 
 def said(controllers, axis, t_ns=5):
     rows = new_records(Frame, MOST_FRAMES)
-    count = tell(axis, 0, t_ns, rows, 0)
+    count = write_axis(axis, 0, t_ns, rows, 0)
     found = {}
     attached = inside_attachment(controllers.each[0].law_state)[NAME]
     for pdo in inside_pdos(controllers.rig, attached):
@@ -104,14 +104,14 @@ def test_a_cycle_is_told_once_and_not_before_its_end():
     rows = new_records(Frame, 4 * MOST_FRAMES)
     controllers.axes[0].host.cycle = controllers.axes[1].host.cycle = 1
     controllers.axes[1].host.waiting = 1
-    assert tell_all(controllers.axes, 7, rows, 2) == 5
+    assert write_axes(controllers.axes, 7, rows, 2) == 5
     assert rows["can_id"][2:5].tolist() == [FIRST, FIRST + 1, FIRST + 2]
     assert set(rows["t_ns"][2:5].tolist()) == {7}
     assert set(rows["source"][2:5].tolist()) == {SOURCE_INSIDE}
     controllers.axes[1].host.waiting = 0
-    assert tell_all(controllers.axes, 8, rows, 5) == 8
+    assert write_axes(controllers.axes, 8, rows, 5) == 8
     assert rows["can_id"][5:8].tolist() == [FIRST + PER_AXIS + k for k in range(3)]
-    assert tell_all(controllers.axes, 9, rows, 8) == 8
+    assert write_axes(controllers.axes, 9, rows, 8) == 8
 
 
 def test_an_age_and_a_gain_beyond_their_fields_end_at_them():
@@ -168,7 +168,7 @@ def test_what_a_law_keeps_fills_frames_of_two_numbers(keeps, lengths):
     axis.state["user"] = np.arange(16) - 7.5
     rows = new_records(Frame, MOST_FRAMES)
     count = 3 + len(lengths)
-    assert tell(axis, 0, 5, rows, 2) == 2 + count
+    assert write_axis(axis, 0, 5, rows, 2) == 2 + count
     assert rows["length"][2 : 2 + count].tolist() == [8, 8, 8, *lengths]
     assert rows["can_id"][2 : 2 + count].tolist() == [FIRST + k for k in range(count)]
     found = rows["word"][5 : 2 + count].copy().view(np.float32).tolist()

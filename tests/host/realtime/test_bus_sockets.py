@@ -16,7 +16,16 @@ from coulombus.host.cycle.axes import begin, safe_setpoints
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.host.realtime import bus_sockets
-from coulombus.host.realtime.bus_sockets import COMPLETE, DRAIN_MESSAGES, EMPTY, GONE, TOOK, drain, take, transmit
+from coulombus.host.realtime.bus_sockets import (
+    COMPLETE,
+    DRAIN_MESSAGES,
+    EMPTY,
+    GONE,
+    TOOK,
+    drain,
+    receive_message,
+    transmit,
+)
 from coulombus.host.realtime.data_plane import rig_filters
 from coulombus.host.realtime.log_rings import take_log
 from coulombus.host.realtime.process import new_buffers
@@ -177,15 +186,15 @@ def test_the_last_frames_are_offered_again_with_pauses(buses, monkeypatch):
 )
 def test_a_message_that_is_no_frames_is_dropped_and_counted(buses, data, malformed):
     buses.others[1].send(data)
-    assert take(buses.b, 1, 1) == TOOK
+    assert receive_message(buses.b, 1, 1) == TOOK
     p = buses.shared.plane[0]
     assert (p.rx_malformed, p.rx_frames) == (malformed, 1 - malformed)
-    assert take(buses.b, 1, 1) == EMPTY
+    assert receive_message(buses.b, 1, 1) == EMPTY
 
 
 def test_a_frame_that_is_too_long_is_dropped_and_its_neighbour_is_not(buses):
     buses.others[0].send(FRAME.pack(0x181, 9, 0) + FRAME.pack(0x181, 3, 0x0102030405060708))
-    assert take(buses.b, 0, 1) == TOOK
+    assert receive_message(buses.b, 0, 1) == TOOK
     p = buses.shared.plane[0]
     assert (p.rx_malformed, p.rx_frames) == (1, 1)
     assert buses.log[["can_id", "length", "word"]].tolist() == [(0x181, 3, 0x060708)]  # padding is not data
@@ -193,7 +202,7 @@ def test_a_frame_that_is_too_long_is_dropped_and_its_neighbour_is_not(buses):
 
 def test_a_message_has_up_to_64_frames(buses):
     buses.others[0].send(FRAME.pack(0x181, 8, 1) * 64)
-    assert take(buses.b, 0, 0) == TOOK
+    assert receive_message(buses.b, 0, 0) == TOOK
     assert (buses.shared.plane["rx_frames"][0], buses.shared.plane["rx_malformed"][0]) == (64, 0)
 
 
@@ -201,7 +210,7 @@ def test_a_message_has_up_to_64_frames(buses):
 @pytest.mark.parametrize("bus", [0, 1])
 def test_another_hosts_sync_on_any_bus_trips_while_the_cycle_runs(buses, bus, live):
     buses.arrive(bus, SYNC, b"")
-    assert take(buses.b, bus, live) == TOOK
+    assert receive_message(buses.b, bus, live) == TOOK
     p = buses.shared.plane[0]
     assert (p.foreign_sync, p.asked) == ((1, Trip.SECOND_HOST) if live else (0, 0))
 
@@ -209,14 +218,16 @@ def test_another_hosts_sync_on_any_bus_trips_while_the_cycle_runs(buses, bus, li
 @pytest.mark.parametrize(("flags", "live", "lost"), [(0x40, 1, True), (0x40, 0, False), (0x04, 1, False)])
 def test_a_controller_in_bus_off_is_a_lost_bus(buses, flags, live, lost):
     buses.arrive(1, CAN_ERR_FLAG | flags)
-    assert take(buses.b, 1, live) == TOOK
+    assert receive_message(buses.b, 1, live) == TOOK
     p = buses.shared.plane[0]
     assert (p.error_frames, p.asked) == (1, Trip.BUS_LOST if lost else 0)
 
 
 def test_a_flooded_bus_leaves_time_for_the_other(buses, monkeypatch):
     reads = []
-    monkeypatch.setattr(bus_sockets, "take", lambda b, k, live: reads.append((k, live)) or (TOOK if k == 0 else EMPTY))
+    monkeypatch.setattr(
+        bus_sockets, "receive_message", lambda b, k, live: reads.append((k, live)) or (TOOK if k == 0 else EMPTY)
+    )
     assert plain(bus_sockets.drain)(buses.b) == 0
     assert reads == [(0, 1)] * DRAIN_MESSAGES + [(1, 1)]
 
@@ -239,8 +250,8 @@ def test_a_joint_is_complete_when_its_own_bus_has_answered(buses):
     begin(buses.b.axes, T_NS, buses.b.out)
     for bus, node, result in ((1, 3, TOOK), (1, 4, COMPLETE), (0, 1, TOOK), (0, 2, COMPLETE)):
         buses.arrive(bus, 0x180 + node, bytes(8 if node in (1, 3) else 6))
-        assert take(buses.b, bus, 1) == result
-    assert [take(buses.b, bus, 1) for bus in (0, 1)] == [EMPTY, EMPTY]
+        assert receive_message(buses.b, bus, 1) == result
+    assert [receive_message(buses.b, bus, 1) for bus in (0, 1)] == [EMPTY, EMPTY]
 
 
 @pytest.mark.parametrize("lost", [0, 1])
@@ -252,7 +263,7 @@ def test_a_lost_bus_makes_all_axes_safe_and_the_other_goes_on(buses, lost):
     assert set(buses.k.host["stop"].tolist()) == {int(Trip.BUS_LOST)}
     assert buses.b.fds[lost] == -1
     assert [entry & 0xFFFFFFFF == 0xFFFFFFFF for entry in buses.b.poll.tolist()] == [k == lost for k in (0, 1)]
-    assert take(buses.b, lost, 1) == EMPTY
+    assert receive_message(buses.b, lost, 1) == EMPTY
     begin(buses.b.axes, T_NS, buses.b.out)
     assert transmit(buses.b, 0) == 0
     assert SYNC in buses.sent(1 - lost)
@@ -295,9 +306,9 @@ def test_the_last_set_points_reach_the_bus_that_works_before_the_lost_one_is_tri
 
 def test_the_only_bus_that_is_left_is_offered_the_last_frames_all_the_same(buses):
     buses.others[0].close()
-    assert take(buses.b, 0, 1) == TOOK
+    assert receive_message(buses.b, 0, 1) == TOOK
     buses.others[1].close()
-    assert take(buses.b, 1, 1) == GONE
+    assert receive_message(buses.b, 1, 1) == GONE
     assert buses.b.fds[1] >= 0
 
 
@@ -311,7 +322,7 @@ def test_frames_that_a_socket_dropped_are_counted_over_all_buses(buses, monkeypa
 
     monkeypatch.setattr(bus_sockets, "receive", receive)
     monkeypatch.setattr(bus_sockets, "now_ns", lambda: T_NS)
-    listen = plain(bus_sockets.take)
+    listen = plain(bus_sockets.receive_message)
     assert [listen(buses.b, k, 0) for k in (0, 1, 0, 1)] == [TOOK] * 4
     assert buses.shared.plane["rx_overflow"][0] == 5 + 1
 

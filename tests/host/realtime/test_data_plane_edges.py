@@ -165,7 +165,7 @@ def test_the_parent_counts_as_running_for_two_seconds_more(handle):
 
 def test_the_dead_man_s_key_and_an_order_go_to_the_data_plane(handle):
     handle.hold_deadman(77)
-    handle.order(1, 5)
+    handle.publish_order(1, 5)
     assert [told(handle, name) for name in ("deadman_ns", "order_axis", "order")] == [77, 1, 5]
 
 
@@ -390,13 +390,13 @@ def test_what_is_logged_is_taken_once_and_as_a_copy(handle):
     ring, trace, plane = handle.shared.ring, handle.shared.trace, handle.shared.plane
     ring["can_id"][:3], trace["t_ns"][:3] = [0x181, 0x182, 0x701], [5, 6, 7]
     plane["log_head"], plane["trace_head"] = 2, 1
-    found, rows = handle.take(), handle.take_trace()
+    found, rows = handle.take_frames(), handle.take_trace()
     plane["log_head"], plane["trace_head"] = 3, 3
-    assert handle.take()["can_id"].tolist() == [0x701]
+    assert handle.take_frames()["can_id"].tolist() == [0x701]
     assert handle.take_trace()["t_ns"].tolist() == [6, 7]
     assert found["can_id"].tolist() == [0x181, 0x182]
     assert rows["t_ns"].tolist() == [5]
-    assert len(handle.take()) == len(handle.take_trace()) == 0
+    assert len(handle.take_frames()) == len(handle.take_trace()) == 0
 
 
 # figures

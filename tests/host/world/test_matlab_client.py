@@ -30,8 +30,8 @@ def said():
 def test_the_gateway_accepts_what_the_client_says():
     hello, model = said()
     relay = Relay()
-    assert relay.take(json.dumps(hello)) == Greeting().record()
-    record = np.frombuffer(relay.take(json.dumps(model)), MODEL)[0]
+    assert relay.translate(json.dumps(hello)) == Greeting().record()
+    record = np.frombuffer(relay.translate(json.dumps(model)), MODEL)[0]
     assert (record["wall_K_Nm_rad"], record["law"], record["life_ns"]) == (2.0, 0.0, 200_000_000)
     names = re.search(r"wall = struct\((.*)\);", SOURCE)[1].split(",")[::2]
     assert {json.loads(name) for name in names} <= {item.name for item in fields(Wall)}
@@ -50,7 +50,7 @@ def test_the_client_reads_fields_that_the_gateway_sends(kind, known):
 
 def test_the_gateway_sends_these_kinds_and_no_other():
     relay = Relay()
-    relay.take('{"type": "hello"}')
+    relay.translate('{"type": "hello"}')
     relay.receive(Welcome(1, 1, 1, 1_000_000, 1, 10**9, 7).record() + Named(0, 0, 0.0, 4.5, 3.5, "F_s_Nm").record())
     state = np.zeros(1, STATE)
     state["head"] = head_of(Kind.STATE)

@@ -28,19 +28,19 @@ def state(number, **values):
 def opened(message=None):
     """Return a relay after the host's answer to HELLO."""
     relay = Relay()
-    relay.take(json.dumps(HELLO) if message is None else message)
+    relay.translate(json.dumps(HELLO) if message is None else message)
     relay.receive(WELCOME.record() + NAMED.record())
     relay.batch()
     return relay
 
 
 def model(relay, **fields):
-    return np.frombuffer(relay.take(json.dumps({"type": "model", **fields})), MODEL)[0]
+    return np.frombuffer(relay.translate(json.dumps({"type": "model", **fields})), MODEL)[0]
 
 
 def test_hello_becomes_the_record_and_the_answer_a_message():
     relay = Relay()
-    assert relay.take('{"type": "hello", "states": false, "key": "123456"}') == Greeting(0, "123456").record()
+    assert relay.translate('{"type": "hello", "states": false, "key": "123456"}') == Greeting(0, "123456").record()
     relay.receive(WELCOME.record())
     assert not relay.is_pending
     relay.receive(NAMED.record()[:50])
@@ -114,7 +114,7 @@ def test_parts_with_vectors_are_those_of_the_plane():
 def test_a_malformed_message_is_refused_and_the_next_one_is_taken(message, reason):
     relay = opened()
     with pytest.raises(MalformedMessage, match=f"malformed message 1: .*{reason}"):
-        relay.take(message)
+        relay.translate(message)
     (text,) = relay.batch()
     answer = json.loads(text)
     assert (answer["type"], answer["sequence"], answer["again"]) == ("refused", 0, 0)
@@ -132,10 +132,10 @@ def test_a_number_that_falls_back_does_not_make_the_next_models_fall_back():
 def test_binary_messages_are_whole_records_of_the_socket():
     relay = opened(Greeting().record())
     data = Model(wall=Wall(0.0, 2.0)).record({}).tobytes()
-    assert relay.take(data * 3) == data * 3
+    assert relay.translate(data * 3) == data * 3
     for wrong in (data[:-1], data + b"\0", Greeting().record(), b"", b"\xff" * 776):
         with pytest.raises(MalformedMessage, match="whole MODEL records of 776 bytes"):
-            relay.take(wrong)
+            relay.translate(wrong)
     refusals = [read_refusal(record) for record in relay.batch()]
     assert [refusal.sequence for refusal in refusals] == [0] * 5
     assert refusals[-1].reason.startswith("malformed message 5: ")
@@ -184,7 +184,7 @@ def test_any_json_is_a_record_or_a_malformed_message(fields):
     if isinstance(fields, dict):
         fields = {**fields, "type": "model"}
     try:
-        data = relay.take(json.dumps(fields))
+        data = relay.translate(json.dumps(fields))
     except MalformedMessage:
         assert relay.malformed == 1
     else:
