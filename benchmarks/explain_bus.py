@@ -77,7 +77,7 @@ class Machine:
 
     def ask(self, number: int, request: bytes, wait_ms: float = 20) -> bytes | None:
         """Send an SDO request; return the answer, None where none comes. Cycles go on meanwhile."""
-        self.client.read_frames()
+        self.client.take()
         self.master.send(0x600 + number, request)
         if not self.due_ns:
             heard = self.client.wait_for(0x580 + number, round(wait_ms * MS))
@@ -85,7 +85,7 @@ class Machine:
         until = self.network.t_ns + round(wait_ms * MS)
         while self.network.t_ns < until:
             self.run(self.period_ns / MS)
-            answers = self.client.read_frames(0x580 + number)
+            answers = self.client.take(0x580 + number)
             if answers:
                 return answers[0].data
         return None

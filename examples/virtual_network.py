@@ -23,7 +23,7 @@ def main() -> None:
     master = network.station()  # hears every frame
     network.power_on()
     network.wait_ns(10_000_000)
-    for boot in master.read_frames():
+    for boot in master.take():
         print(f"{boot.t_ns / 1e3:.1f} us: boot-up of node {boot.can_id & 0x7F}")
 
     master.send(0x602, bytes.fromhex("4000100000000000"))  # SDO upload of 1000h

@@ -11,7 +11,7 @@ give the same frames to the nanosecond::
     tester = network.station()                            # hears every frame; station({0x585}): only this identifier
     network.power_on()                                    # all devices; they send their boot-ups
     network.wait_ns(10_000_000)
-    assert tester.read_frames(0x705)[0].data == b"\\0"
+    assert tester.take(0x705)[0].data == b"\\0"
 
     tester.send(0x000, bytes((NmtCommand.START, 5)))      # now; at_ns=... for later
     tester.send(0x605, bytes.fromhex("4017100000000000"))

@@ -72,7 +72,7 @@ class Station:
         ready = self._network.t_ns if at_ns is None else at_ns
         push(self._network.out, self.number, ready, can_id, size, data_word(bytes(data)))
 
-    def read_frames(self, can_id: int | None = None) -> list[Heard]:
+    def take(self, can_id: int | None = None) -> list[Heard]:
         """Remove the frames heard (with this identifier) from `heard`, and return them."""
         frames = [frame for frame in self.heard if can_id in (None, frame.can_id)]
         self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]

@@ -244,7 +244,7 @@ def test_every_object_of_a_vendors_file_is_served(path):
     variables = [v for entry in device.description.objects.values() for v in entry.variables.values()]
     for variable in variables:
         index, subindex = variable.index, variable.subindex
-        tester.read_frames()
+        tester.take()
         tester.send(request, struct.pack("<BHB4x", 0x40, index, subindex))
         answer = tester.wait_for(response, 5_000_000)
         assert answer is not None, f"{index:04X}h:{subindex:02X}"

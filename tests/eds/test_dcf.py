@@ -311,7 +311,7 @@ def test_a_configured_node_starts_configured_and_after_a_reset_is_so_again():
     for _ in range(2):
         network.wait_ns(55_000_000)
         assert device[0x2000, 0] == 4
-        assert len(station.read_frames(0x700 + NODE)) == 6
+        assert len(station.take(0x700 + NODE)) == 6
         station.send(0x000, bytes((1, NODE)))
         station.send(0x200 + NODE, struct.pack("<h", -5))
         network.wait_ns(1_000_000)

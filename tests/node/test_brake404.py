@@ -20,7 +20,7 @@ def brake(**settings: int) -> Bench:
     if "transmission" in settings:
         bench.write(0x1400, 2, settings["transmission"], 1)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -198,11 +198,11 @@ def test_input_blocks_have_decimals_and_saturate():
     bench = brake()
     bench.node.in_handle_Nm, bench.node.in_coil_A, bench.node.in_coil_degC = -1.2345, 0.7004, 22.46
     bench.sync()
-    raw = struct.unpack("<hhh", bench.read_frames(0x182)[0].data)
+    raw = struct.unpack("<hhh", bench.take(0x182)[0].data)
     assert raw in ((-1234, 700, 225), (-1235, 700, 225))  # 3, 3, 1 decimals; a half may go either way
     bench.node.in_handle_Nm, bench.node.in_coil_A, bench.node.in_coil_degC = 40.0, -40.0, float("nan")
     bench.sync()
-    assert struct.unpack("<hhh", bench.read_frames(0x182)[0].data) == (32767, -32768, -32768)
+    assert struct.unpack("<hhh", bench.take(0x182)[0].data) == (32767, -32768, -32768)
 
 
 def test_input_scaling_factor_and_offset():

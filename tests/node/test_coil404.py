@@ -23,7 +23,7 @@ class Coil:
         self.bench.power_on()
         self.bench.write(0x2001, 0, hold_us, 4)
         self.bench.nmt(1)
-        self.bench.read_frames()
+        self.bench.take()
         self.state = "good"
 
     @property
@@ -190,7 +190,7 @@ def test_a_fault_that_outlives_reset_node_is_told_behind_the_boot_up():
     for start in (bench.power_on, lambda: bench.nmt(129)):
         start()
         bench.run(MS)
-        assert [sent.can_id for sent in bench.read_frames()] == [0x702, 0x82]
+        assert [sent.can_id for sent in bench.take()] == [0x702, 0x82]
         assert bench.number(0x1001) == 0x21
 
 

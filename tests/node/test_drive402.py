@@ -137,7 +137,7 @@ def test_fault_reset_needs_a_rising_edge_and_the_cause_to_be_gone():
     command(bench, RESET)
     assert bench.node.power_state == FAULT  # no edge
     command(bench, 0)
-    bench.read_frames()
+    bench.take()
     command(bench, RESET)
     assert bench.node.power_state == SOD
     assert bench.emcy() == [(0x0000, 0x00, 0)]
@@ -297,7 +297,7 @@ def test_a_fault_that_outlives_a_reset_is_there_behind_the_boot_up(reset):
         bench.nmt(reset)
     bench.run(MS)
     told = [] if reset == 130 else [0x81]  # its fault outlives reset communication, and was told before
-    assert [sent.can_id for sent in bench.read_frames()] == [0x701, *told]
+    assert [sent.can_id for sent in bench.take()] == [0x701, *told]
     for controlword in (SHUTDOWN, SWITCH_ON, ENABLE):
         command(bench, controlword)
     assert bench.node.power_state == FAULT
@@ -327,7 +327,7 @@ def test_measured_values_are_sampled_at_sync_and_wrap_or_saturate():
     bench.node.in_velocity_counts_s = -1234.6
     bench.node.in_torque_pm = 71.5
     bench.sync()
-    tpdo1, tpdo2 = bench.read_frames(0x181)[0].data, bench.read_frames(0x281)[0].data
+    tpdo1, tpdo2 = bench.take(0x181)[0].data, bench.take(0x281)[0].data
     assert int.from_bytes(tpdo1[2:6], "little", signed=True) == -(1 << 31) + 5
     assert int.from_bytes(tpdo1[6:], "little", signed=True) == 72
     assert int.from_bytes(tpdo2, "little", signed=True) == -1235
@@ -346,7 +346,7 @@ def test_leaving_operational_disables_the_drive(nmt, after):
     enable(bench, 300)
     bench.sync()
     assert bench.node.out_torque_pm == 300
-    bench.read_frames()
+    bench.take()
     bench.nmt(nmt)
     assert bench.node.out_torque_pm == 0
     assert bench.node.power_state == after

@@ -19,7 +19,7 @@ PRE_OPERATIONAL, OPERATIONAL, STOPPED = 127, 5, 4
 def powered(name: str = "motor", node_id: int = 1, **objects: int) -> Bench:
     bench = Bench(name, node_id)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -32,7 +32,7 @@ def guarded(guard_ms: int = 100, factor: int = 3) -> Bench:
 
 def ask(bench: Bench) -> list[int]:
     bench.frame(0x701 | CAN_RTR_FLAG, length=1)
-    return [frame.data[0] for frame in bench.read_frames(0x701)]
+    return [frame.data[0] for frame in bench.take(0x701)]
 
 
 def test_the_toggle_bit_begins_with_0_and_alternates_in_every_state():
@@ -44,7 +44,7 @@ def test_the_toggle_bit_begins_with_0_and_alternates_in_every_state():
     assert ask(bench) == [0x80 | 4]
     for command in (129, 130):
         bench.nmt(command)
-        bench.read_frames()
+        bench.take()
         assert [ask(bench) for _ in range(2)] == [[127], [0x80 | 127]]
 
 
@@ -101,9 +101,9 @@ def test_with_a_heartbeat_there_is_no_guarding():
     ask(bench)
     bench.write(0x1017, 0, 40, 2)
     assert ask(bench) == []
-    bench.read_frames()
+    bench.take()
     bench.run(100 * MS)
-    assert [frame.data for frame in bench.read_frames()] == [b"\x7f", b"\x7f"]  # no toggle bit, no EMCY
+    assert [frame.data for frame in bench.take()] == [b"\x7f", b"\x7f"]  # no toggle bit, no EMCY
     bench.write(0x1017, 0, 0, 2)
     assert ask(bench) == [127]
 
@@ -111,7 +111,7 @@ def test_with_a_heartbeat_there_is_no_guarding():
 def test_a_remote_frame_for_another_node_is_none():
     bench = guarded()
     bench.frame(0x702 | CAN_RTR_FLAG, length=1)
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL), (2, STOPPED)])
@@ -131,7 +131,7 @@ def test_start_up_by_itself():
     assert bench.node.nmt == PRE_OPERATIONAL
     bench.download(0x1010, 2, b"save")
     bench.nmt(130)
-    assert [frame.can_id for frame in bench.read_frames(0x701)] == [0x701]
+    assert [frame.can_id for frame in bench.take(0x701)] == [0x701]
     assert bench.node.nmt == OPERATIONAL
     bench.write(0x1F80, 0, 4, 4)
     bench.download(0x1010, 2, b"save")
@@ -158,7 +158,7 @@ def test_what_starts_by_itself_boots_up_before_it_sends_a_pdo():
     network.power_on()
     network.wait_ns(5 * MS)
     assert device.record["nmt"] == OPERATIONAL
-    assert [frame.can_id for frame in station.read_frames()] == [0x709, 0x189]
+    assert [frame.can_id for frame in station.take()] == [0x709, 0x189]
 
 
 def test_time_is_taken_and_goes_on():
@@ -187,7 +187,7 @@ def test_time_is_produced_where_1012_says_so():
     bench.write(0x1012, 0, 0x40000100, 4)
     assert send(bench.t, datetime(1984, 1, 3, 0, 0, 1), bench.out)
     bench.frame(0x7FF)  # what waits is taken with any frame
-    (frame,) = bench.read_frames(0x100)
+    (frame,) = bench.take(0x100)
     assert frame.data == (1000).to_bytes(4, "little") + b"\x02\x00"
     with pytest.raises(SdoAborted, match="08000022"):
         bench.write(0x1012, 0, 0x40000101 + 0x80, 4)  # the identifier stands while TIME is produced
@@ -211,13 +211,13 @@ def test_an_rpdo_after_the_window_acts_on_no_sync():
     bench.sync()
     assert bench.number(0x6071) == 11
     assert bench.node.dropped_window == 1
-    assert len(bench.read_frames(0x181)) == 3
+    assert len(bench.take(0x181)) == 3
     bench.write(0x1007, 0, 10, 4)  # less than the device takes to answer
     bench.sync()
-    assert bench.read_frames(0x181) == []
+    assert bench.take(0x181) == []
     bench.write(0x1007, 0, 0, 4)
     bench.sync()
-    assert len(bench.read_frames(0x181)) == 1
+    assert len(bench.take(0x181)) == 1
 
 
 def test_more_than_eight_heartbeats_are_watched():

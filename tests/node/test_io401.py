@@ -60,7 +60,7 @@ def module(*, without=(), transmission=255, deadline_ms=0, **defaults):
     bench = Bench("io", 5, IO401, parse_eds(text.encode(), "io.eds"))
     bench.power_on()
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -112,7 +112,7 @@ def test_a_changed_input_is_sent_and_an_analogue_one_is_within_16_bits():
     bench.node.in_digital[0], bench.node.in_analogue[0], bench.node.in_analogue[1] = 3, -40_000, 40_000
     bench.node.next_ns = bench.t + 1
     bench.run(MS)
-    assert [frame.data for frame in bench.read_frames(TPDO)] == [b"\x03\x00\x80"]
+    assert [frame.data for frame in bench.take(TPDO)] == [b"\x03\x00\x80"]
     assert bench.number(0x6401, 2, signed=True) == 32767
 
 

@@ -30,12 +30,12 @@ def network(name="motor.eds", kind=DRIVE402, behaviour=0):
     node.sdo[0x1029][1].raw = behaviour
     node.sdo[0x1017].raw = 10
     world.nmt_command(0, NmtCommand.START)
-    tester.read_frames()
+    tester.take()
     return world, device, tester
 
 
 def emcys(tester):
-    return [(int.from_bytes(f.data[:2], "little"), f.data[2]) for f in tester.read_frames()]
+    return [(int.from_bytes(f.data[:2], "little"), f.data[2]) for f in tester.take()]
 
 
 def count(world, **values):

@@ -28,7 +28,7 @@ def started(node_id=1, name="motor"):
     bench.power_on()
     bench.device[0x1018, 3], bench.device[0x1018, 4] = REVISION, SERIAL
     if node_id != UNCONFIGURED:
-        assert [s.can_id for s in bench.read_frames()] == [0x700 + node_id]
+        assert [s.can_id for s in bench.take()] == [0x700 + node_id]
     return bench
 
 
@@ -36,7 +36,7 @@ def ask(bench, *data, length=None):
     """Send one LSS frame; return the data of the answers."""
     content = b"".join(bytes((part,)) if isinstance(part, int) else part for part in data)
     bench.frame(RX, content.ljust(8, b"\0"), length=length)
-    return [s.data for s in bench.read_frames(TX)]
+    return [s.data for s in bench.take(TX)]
 
 
 def answer(*data):
@@ -117,7 +117,7 @@ def test_a_node_id_is_pending_until_reset_communication():
     assert ask(bench, 0x5E) == answer(0x5E, 1)
     assert bench.number(0x1000) == 0x00020192  # still node 1
     bench.nmt(130)
-    assert [(s.can_id, s.data) for s in bench.read_frames()] == [(0x709, b"\0")]
+    assert [(s.can_id, s.data) for s in bench.take()] == [(0x709, b"\0")]
     assert ask(bench, 0x5E) == []  # it waits again
     bench.node_id = 9
     assert bench.number(0x1000) == 0x00020192
@@ -125,7 +125,7 @@ def test_a_node_id_is_pending_until_reset_communication():
     assert bench.number(0x1014) == 0x89
     bench.frame(0x601, b"\x40\x00\x10\x00".ljust(8, b"\0"))
     bench.nmt(130, 1)
-    assert bench.read_frames() == []  # nobody is node 1
+    assert bench.take() == []  # nobody is node 1
 
 
 @pytest.mark.parametrize("number", [0, 128, 254])
@@ -133,7 +133,7 @@ def test_a_node_id_out_of_range_is_refused(number):
     bench = configuring(started(1))
     assert ask(bench, 0x11, number) == answer(0x11, 1)
     bench.nmt(130)
-    assert [s.can_id for s in bench.read_frames()] == [0x701]
+    assert [s.can_id for s in bench.take()] == [0x701]
 
 
 def test_only_what_is_stored_survives_power_off_and_reset_node():
@@ -141,21 +141,21 @@ def test_only_what_is_stored_survives_power_off_and_reset_node():
     ask(bench, 0x11, 9)
     bench.nmt(130)
     bench.nmt(129, 9)
-    assert [s.can_id for s in bench.read_frames()] == [0x709, 0x701]
+    assert [s.can_id for s in bench.take()] == [0x709, 0x701]
     configuring(bench)
     ask(bench, 0x11, 10)
     assert ask(bench, 0x17) == answer(0x17, 0)
     bench.device.power_off()
     bench.power_on()
-    assert [s.can_id for s in bench.read_frames()] == [0x70A]
+    assert [s.can_id for s in bench.take()] == [0x70A]
     bench.nmt(129, 10)
-    assert [s.can_id for s in bench.read_frames()] == [0x70A]
+    assert [s.can_id for s in bench.take()] == [0x70A]
 
 
 def with_store(store, node_id=1):
     bench = Bench("motor", node_id, store=store)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -179,7 +179,7 @@ def test_storage_that_fails_is_told_and_changes_nothing(tmp_path):
     assert ask(bench, 0x17) == answer(0x17, 2)
     bench.device.power_off()
     bench.power_on()
-    assert bench.read_frames()[-1].can_id == 0x701
+    assert bench.take()[-1].can_id == 0x701
 
 
 def test_a_store_with_nonsense_is_not_used():
@@ -193,7 +193,7 @@ def test_a_drive_with_torque_is_not_disturbed():
     bench = motor()
     enable(bench, 100)
     assert bench.node.out_torque_pm == 100
-    bench.read_frames()
+    bench.take()
     configuring(bench)
     assert ask(bench, 0x11, 9) == answer(0x11, 0)
     assert ask(bench, 0x13, 0, 2) == answer(0x13, 0)
@@ -203,9 +203,9 @@ def test_a_drive_with_torque_is_not_disturbed():
     bench.frame(0x201, setpoint(0x0F, 50))
     bench.sync()
     assert (bench.node.power_state, bench.node.out_torque_pm, bench.node.nmt) == (4, 50, 5)
-    assert {s.can_id for s in bench.read_frames()} >= {0x181}
+    assert {s.can_id for s in bench.take()} >= {0x181}
     bench.nmt(130)
-    assert (bench.node.out_torque_pm, bench.read_frames(0x709)[0].data) == (0, b"\0")
+    assert (bench.node.out_torque_pm, bench.take(0x709)[0].data) == (0, b"\0")
 
 
 def test_the_services_run_in_every_nmt_state():
@@ -228,25 +228,25 @@ def test_a_device_without_a_node_id_is_silent_until_it_gets_one():
         bench.frame(can_id, bytes(8))
     bench.frame(0x000, b"\x01\x00")
     bench.frame(0x000, b"\x82\x00")
-    assert bench.read_frames() == []
+    assert bench.take() == []
     configuring(bench)
     assert ask(bench, 0x5E) == answer(0x5E, 255)
     assert ask(bench, 0x11, 5) == answer(0x11, 0)
     assert ask(bench, 0x04, 0) == []
-    assert [(s.can_id, s.data) for s in bench.read_frames()] == [(0x705, b"\0")]
+    assert [(s.can_id, s.data) for s in bench.take()] == [(0x705, b"\0")]
     bench.node_id = 5
     assert bench.number(0x1000) == 0x00020192
     bench.nmt(1, 5)
     assert bench.node.nmt == 5
     bench.sync()
-    assert 0x185 in {s.can_id for s in bench.read_frames()}
+    assert 0x185 in {s.can_id for s in bench.take()}
 
 
 def test_back_to_waiting_without_a_node_id_boots_nothing():
     bench = started(UNCONFIGURED)
     configuring(bench)
     ask(bench, 0x04, 0)
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 def test_a_node_id_may_be_taken_away_and_the_brake_still_ramps():
@@ -260,10 +260,10 @@ def test_a_node_id_may_be_taken_away_and_the_brake_still_ramps():
     configuring(bench)
     assert ask(bench, 0x11, 255) == answer(0x11, 0)
     bench.nmt(130)
-    bench.read_frames()
+    bench.take()
     bench.run(1000 * MS)
     assert bench.node.out_brake_Nm == 0.0
-    assert bench.read_frames() == []
+    assert bench.take() == []
     assert ask(bench, 0x4C) == answer(0x50)
 
 
@@ -279,7 +279,7 @@ def test_a_stored_255_is_no_node_id_after_every_reset(reset):
     assert ask(bench, 0x11, 255) == answer(0x11, 0)
     assert ask(bench, 0x17) == answer(0x17, 0)
     bench.run(15 * MS)
-    assert {sent.can_id for sent in bench.read_frames()} >= {0x181, 0x701}  # until the reset it is node 1
+    assert {sent.can_id for sent in bench.take()} >= {0x181, 0x701}  # until the reset it is node 1
     for node_id in (1, 9):
         if reset == "power":
             bench.device.power_off()
@@ -294,16 +294,16 @@ def test_a_stored_255_is_no_node_id_after_every_reset(reset):
         bench.node.next_ns = bench.t
         bench.run(MS)
         bench.node.in_faults = 0
-        assert (bench.read_frames(), bench.node.nmt) == ([], 0)  # no boot-up, no heartbeat, no PDO, no EMCY
+        assert (bench.take(), bench.node.nmt) == ([], 0)  # no boot-up, no heartbeat, no PDO, no EMCY
         assert ask(bench, 0x4C) == answer(0x50)
         configuring(bench)
         assert ask(bench, 0x5E) == answer(0x5E, 255)
         ask(bench, 0x11, 9)
         ask(bench, 0x04, 0)
-        assert bench.read_frames(0x709)[0].data == b"\0"
+        assert bench.take(0x709)[0].data == b"\0"
         if reset == 130:  # what is pending stays: 9
             break
-        bench.read_frames()
+        bench.take()
 
 
 def test_heartbeats_and_sync_of_a_device_end_with_its_node_id():
@@ -312,10 +312,10 @@ def test_heartbeats_and_sync_of_a_device_end_with_its_node_id():
     configuring(bench)
     ask(bench, 0x11, 255)
     bench.run(25 * MS)
-    assert len(bench.read_frames(0x701)) == 2
+    assert len(bench.take(0x701)) == 2
     bench.nmt(130)
     bench.run(100 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 # identify
@@ -410,10 +410,10 @@ def test_activate_bit_timing_is_silent_twice():
     ask(bench, 0x15, (50).to_bytes(2, "little"))
     bench.until(start + 99 * MS)
     assert bench.request(b"\x40\x00\x10\x00".ljust(8, b"\0")) is None
-    assert bench.read_frames() == []
+    assert bench.take() == []
     bench.until(start + 100 * MS)
     assert bench.number(0x1000) == 0x00020192
-    assert [s.t_ns for s in bench.read_frames(0x701)] == [start + 100 * MS]
+    assert [s.t_ns for s in bench.take(0x701)] == [start + 100 * MS]
     assert bench.device.lss.rate == 3
 
 
@@ -447,7 +447,7 @@ def test_what_spells_no_service_is_counted(data):
     bench = started(UNCONFIGURED)
     assert ask(bench, data) == []
     assert bench.node.dropped_unknown == 1
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 def test_a_device_has_a_node_id_or_none():
@@ -473,7 +473,7 @@ def test_whatever_frames_come_the_node_id_is_one_and_answers_go_out_on_one_ident
     bench = started(node_id)
     for content in contents:
         ask(bench, content)
-        for sent in bench.read_frames():
+        for sent in bench.take():
             assert sent.can_id == 0x700 + bench.node.node_id  # it was given one, and booted
         assert 1 <= bench.node.node_id <= 127 or bench.node.node_id == UNCONFIGURED
     bench.nmt(129, 0)
@@ -494,7 +494,7 @@ class BenchNetwork(canopen.Network):
         for bench in self.benches:
             bench.frame(can_id, bytes(data))
         for bench in self.benches:
-            for sent in bench.read_frames():
+            for sent in bench.take():
                 self.notify(sent.can_id, bytearray(sent.data), sent.t_ns * 1e-9)
 
 

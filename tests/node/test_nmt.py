@@ -16,7 +16,7 @@ def at_state(state: int) -> Bench:
     bench.power_on()
     for command in LEAD[state]:
         bench.nmt(command)
-    bench.read_frames()
+    bench.take()
     assert bench.node.nmt == state
     return bench
 
@@ -25,7 +25,7 @@ def test_boot_up_then_pre_operational():
     bench = Bench("mr_brake", 9)
     bench.t = 7 * MS
     bench.power_on()
-    (boot,) = bench.read_frames()
+    (boot,) = bench.take()
     assert (boot.can_id, boot.data, boot.t_ns) == (0x709, b"\x00", 7 * MS + 20 * US)
     assert bench.node.nmt == PRE_OPERATIONAL
 
@@ -46,7 +46,7 @@ def test_every_transition(state, command, broadcast, expected, boots):
     bench = at_state(state)
     bench.nmt(command, 0 if broadcast else None)
     assert bench.node.nmt == expected
-    assert [s.data for s in bench.read_frames(0x703)] == ([b"\x00"] if boots else [])
+    assert [s.data for s in bench.take(0x703)] == ([b"\x00"] if boots else [])
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01", b"\x01\x04", b"\x00\x03", b"\x03\x03", b"\xff\x00", b"\x01\x83"])
@@ -54,7 +54,7 @@ def test_commands_for_others_unknown_or_too_short_do_nothing(data):
     bench = at_state(PRE_OPERATIONAL)
     bench.frame(0x000, data)
     assert bench.node.nmt == PRE_OPERATIONAL
-    assert bench.read_frames() == []
+    assert bench.take() == []
     unknown = len(data) == 2 and data[1] in (0, 3)
     assert bench.node.dropped_unknown == unknown
     assert bench.node.dropped_length == (len(data) < 2)
@@ -65,14 +65,14 @@ def test_services_by_state():
     for state, pdo, sdo in ((PRE_OPERATIONAL, False, True), (OPERATIONAL, True, True), (STOPPED, False, False)):
         bench = at_state(state)
         bench.sync()
-        assert bool(bench.read_frames(0x183)) == pdo
+        assert bool(bench.take(0x183)) == pdo
         dropped = int(bench.node.dropped_unknown)
         bench.frame(0x203, setpoint(6, 5))
         assert bench.node.dropped_unknown - dropped == (not pdo)
         bench.sync()
         assert (bench.device[0x6071, 0] == 5) == pdo
         assert (bench.request(bytes.fromhex("4000100000000000")) is not None) == sdo
-        bench.read_frames()
+        bench.take()
 
 
 def test_heartbeat_goes_on_in_every_state():
@@ -82,7 +82,7 @@ def test_heartbeat_goes_on_in_every_state():
     for command in (START, STOP, PRE):
         bench.nmt(command)
         bench.run(10 * MS)
-        states += [s.data[0] for s in bench.read_frames(0x703)]
+        states += [s.data[0] for s in bench.take(0x703)]
     assert states == [OPERATIONAL, STOPPED, PRE_OPERATIONAL]
 
 
@@ -105,12 +105,12 @@ def test_reset_communication_restores_communication_objects_only():
     assert bench.number(0x1017) == 0
     assert bench.number(0x6072) == 321
     assert bench.upload(0x2004) == b"ba"
-    bench.read_frames()
+    bench.take()
     bench.run(50 * MS)
-    assert bench.read_frames() == []  # no heartbeat
+    assert bench.take() == []  # no heartbeat
     bench.nmt(START)
     bench.sync()
-    assert len(bench.read_frames(0x283)) == 1  # TPDO2 is valid again
+    assert len(bench.take(0x283)) == 1  # TPDO2 is valid again
 
 
 def test_reset_node_restores_everything():
@@ -132,9 +132,9 @@ def test_reset_ends_an_open_sdo_transfer():
     answer = bench.request(bytes.fromhex("6000000000000000"))
     assert answer is not None
     assert answer[0] == 0x80
-    bench.read_frames()
+    bench.take()
     bench.run(2000 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 def test_emcy_in_stopped_is_kept_back():
@@ -143,9 +143,9 @@ def test_emcy_in_stopped_is_kept_back():
     bench.write(0x1029, 1, 1, 1)
     bench.frame(0x77F, b"\x05")
     bench.nmt(2)
-    bench.read_frames()
+    bench.take()
     bench.run(200 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
     bench.nmt(128)
     assert bench.number(0x1003, 1) & 0xFFFF == 0x8130
     assert bench.number(0x1001) == 0x11

@@ -30,7 +30,7 @@ def test_powered_off_nothing_goes_in_and_nothing_comes_out():
     bench.frame(0x601, bytes.fromhex("4000100000000000"))
     bench.frame(0x201, setpoint(0x0F, 100))
     bench.run(1000 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
     assert bench.node.nmt == 0
 
 
@@ -41,14 +41,14 @@ def test_power_off_in_mid_run_silences_the_device_and_its_outputs():
         cycle(bench, setpoint(controlword, 300))
     bench.sync()
     assert bench.node.out_torque_pm == 300
-    bench.read_frames()
+    bench.take()
     bench.device.power_off()
     assert bench.node.out_torque_pm == 0
     bench.sync()
     bench.run(100 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
     bench.power_on()
-    assert [(s.can_id, s.data) for s in bench.read_frames()] == [(0x701, b"\0")]
+    assert [(s.can_id, s.data) for s in bench.take()] == [(0x701, b"\0")]
     assert bench.number(0x1017) == 0  # what was not stored is lost
 
 
@@ -61,7 +61,7 @@ def test_frames_of_others_change_nothing():
     bench.frame(CAN_EFF_FLAG | 0x080)
     bench.frame(CAN_RTR_FLAG | 0x201)
     bench.frame(0x20000080, bytes(8))  # an error frame
-    assert bench.read_frames() == []
+    assert bench.take() == []
     assert bench.node.tobytes() == before
 
 
@@ -75,16 +75,16 @@ def test_a_node_is_told_apart_from_its_neighbour_in_the_same_records():
 def test_heartbeat_keeps_its_period_and_tells_the_state():
     bench = Bench("mr_brake", 5)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     bench.run(7 * MS)
     bench.write(0x1017, 0, 50, 2)
-    bench.read_frames()
+    bench.take()
     bench.run(120 * MS)
     bench.nmt(1)
     bench.run(50 * MS)
     bench.nmt(2)
     bench.run(50 * MS)
-    beats = bench.read_frames(0x705)
+    beats = bench.take(0x705)
     assert [s.t_ns for s in beats] == [57 * MS, 107 * MS, 157 * MS, 207 * MS]
     assert [s.data[0] for s in beats] == [127, 127, 5, 4]
 
@@ -93,11 +93,11 @@ def test_a_late_call_gives_no_burst_of_heartbeats():
     bench = Bench("motor")
     bench.power_on()
     bench.write(0x1017, 0, 10, 2)
-    bench.read_frames()
+    bench.take()
     bench.t = 95 * MS
     core.on_time(bench.nodes[0], bench.t, bench.out)
     bench._collect()
-    assert [s.t_ns for s in bench.read_frames(0x701)] == [95 * MS]
+    assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
     assert bench.node.next_ns == 105 * MS
 
 
@@ -108,16 +108,16 @@ def test_sync_producer_counts_and_drives_its_own_pdos():
     bench.write(0x1006, 0, 2000, 4)
     bench.write(0x1005, 0, 0x40000080, 4)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     bench.run(10 * MS)
-    assert [(s.t_ns, s.data) for s in bench.read_frames(0x080)] == [
+    assert [(s.t_ns, s.data) for s in bench.take(0x080)] == [
         (2 * MS, b"\x01"),
         (4 * MS, b"\x02"),
         (6 * MS, b"\x03"),
         (8 * MS, b"\x01"),
         (10 * MS, b"\x02"),
     ]
-    assert [s.t_ns - 20 * US for s in bench.read_frames(0x181)] == [2 * MS, 4 * MS, 6 * MS, 8 * MS, 10 * MS]
+    assert [s.t_ns - 20 * US for s in bench.take(0x181)] == [2 * MS, 4 * MS, 6 * MS, 8 * MS, 10 * MS]
 
 
 @pytest.mark.parametrize(("command", "stopped_ns"), [(1, 0), (1, 50 * MS), (128, 5 * MS)])
@@ -129,13 +129,13 @@ def test_sync_producer_begins_anew_after_stopped(command, stopped_ns):
     bench.write(0x1005, 0, 0x40000080, 4)
     bench.run(6 * MS)
     bench.nmt(2)
-    assert [s.data for s in bench.read_frames(0x080)] == [b"\x01", b"\x02", b"\x03"]
+    assert [s.data for s in bench.take(0x080)] == [b"\x01", b"\x02", b"\x03"]
     bench.run(stopped_ns)
-    assert bench.read_frames(0x080) == []
+    assert bench.take(0x080) == []
     bench.nmt(command)
     start = bench.t
     bench.run(5 * MS)
-    assert [(s.t_ns - start, s.data) for s in bench.read_frames(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
+    assert [(s.t_ns - start, s.data) for s in bench.take(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
 
 
 @pytest.mark.parametrize("command", [129, 130])
@@ -147,11 +147,11 @@ def test_a_stored_sync_producer_begins_anew_after_a_reset(command):
     bench.write(0x1005, 0, 0x40000080, 4)
     bench.download(0x1010, 1, b"save")
     bench.run(5 * MS)
-    bench.read_frames()
+    bench.take()
     bench.nmt(command)
     start = bench.t
     bench.run(5 * MS)
-    assert [(s.t_ns - start, s.data) for s in bench.read_frames(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
+    assert [(s.t_ns - start, s.data) for s in bench.take(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
 
 
 def test_sync_of_a_wrong_length_is_counted_told_once_and_released():
@@ -159,11 +159,11 @@ def test_sync_of_a_wrong_length_is_counted_told_once_and_released():
     bench.sync(b"\x05")
     bench.sync(b"\x06")
     assert bench.node.dropped_length == 2
-    assert bench.read_frames(0x181) == []
+    assert bench.take(0x181) == []
     assert bench.emcy() == [(0x8240, 0x11, 1)]
     bench.sync()
     assert bench.emcy() == [(0x0000, 0x00, 0)]
-    assert len(bench.read_frames(0x181)) == 1
+    assert len(bench.take(0x181)) == 1
 
 
 def test_error_history_is_newest_first_and_cleared_by_zero_only():
@@ -202,7 +202,7 @@ def test_emcy_inhibit_time_spaces_the_messages():
     bench.frame(0x201, b"\x00")
     bench.sync(b"\x01")
     bench.run(20 * MS)
-    assert [s.t_ns - start for s in bench.read_frames(0x081)] == [20 * US, 5 * MS + 20 * US]
+    assert [s.t_ns - start for s in bench.take(0x081)] == [20 * US, 5 * MS + 20 * US]
 
 
 def test_few_emcys_wait_for_the_inhibit_time_and_the_last_one_is_the_newest():
@@ -212,10 +212,10 @@ def test_few_emcys_wait_for_the_inhibit_time_and_the_last_one_is_the_newest():
         bench.frame(0x201, b"\x00")
         bench.frame(0x201, bytes(4))
         bench.run(MS)
-    bench.read_frames(0x081)
+    bench.take(0x081)
     last = bench.t
     bench.run(100 * MS)
-    late = bench.read_frames(0x081)
+    late = bench.take(0x081)
     assert len(late) == 8
     assert late[-1].t_ns - last <= 40 * MS
     assert late[-1].data == bytes(8)  # error reset: what holds now
@@ -227,10 +227,10 @@ def test_a_waiting_emcy_is_forgotten_where_nmt_allows_none(command):
     bench.write(0x1015, 0, 50, 2)
     bench.frame(0x201, b"\x00")
     bench.frame(0x201, bytes(4))
-    assert len(bench.read_frames(0x081)) == 1
+    assert len(bench.take(0x081)) == 1
     bench.nmt(command)
     bench.run(20 * MS)
-    assert bench.read_frames(0x081) == []
+    assert bench.take(0x081) == []
 
 
 def test_what_waits_goes_out_though_the_inhibit_time_is_switched_off():
@@ -239,11 +239,11 @@ def test_what_waits_goes_out_though_the_inhibit_time_is_switched_off():
     bench.frame(0x201, b"\x00")
     bench.frame(0x201, bytes(4))
     bench.run(7_000 * MS)  # 6.5535 s
-    assert len(bench.read_frames(0x081)) == 2
+    assert len(bench.take(0x081)) == 2
     bench.frame(0x201, b"\x00")
     bench.write(0x1015, 0, 0, 2)
     bench.run(7_000 * MS)
-    assert len(bench.read_frames(0x081)) == 1
+    assert len(bench.take(0x081)) == 1
 
 
 @pytest.mark.parametrize(
@@ -256,10 +256,10 @@ def test_an_inhibit_time_holds_no_longer_than_1015_says(end):
     end(bench)
     bench.nmt(1)
     bench.frame(0x201, bytes(4))
-    bench.read_frames(0x081)
+    bench.take(0x081)
     bench.frame(0x201, b"\x00")
     bench.run(MS)
-    assert [frame.data[:2] for frame in bench.read_frames(0x081)] == [b"\x10\x82"]
+    assert [frame.data[:2] for frame in bench.take(0x081)] == [b"\x10\x82"]
 
 
 def test_emcy_identifier_can_be_moved_and_switched_off():
@@ -273,7 +273,7 @@ def test_emcy_identifier_can_be_moved_and_switched_off():
     assert bench.emcy() == []
     bench.write(0x1014, 0, 0x0A1, 4)
     bench.sync(b"\x01")
-    assert len(bench.read_frames(0x0A1)) == 1
+    assert len(bench.take(0x0A1)) == 1
 
 
 def test_causes_are_named_and_fault_codes_are_in_their_class():
@@ -288,11 +288,11 @@ def test_sync_identifier_can_be_moved():
     bench.power_on()
     bench.write(0x1005, 0, 0x90, 4)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     bench.sync()
-    assert bench.read_frames() == []
+    assert bench.take() == []
     bench.frame(0x090)
-    assert [s.can_id for s in bench.read_frames()] == [0x181, 0x281]
+    assert [s.can_id for s in bench.take()] == [0x181, 0x281]
 
 
 def test_counter_overflow_stands_while_a_period_is_set():
@@ -324,7 +324,7 @@ def test_any_readable_eds_becomes_a_live_node():
     for path in sorted(CORPUS.glob("**/*.[ed][dc][sf]")):
         bench = Bench("", 5, GENERIC, read_eds(path))
         bench.power_on()
-        assert [(s.can_id, s.data) for s in bench.read_frames()] == [(0x705, b"\0")]
+        assert [(s.can_id, s.data) for s in bench.take()] == [(0x705, b"\0")]
         if bench.device.dictionary.number(0x1200, 1, 0x605) != 0x605:
             continue  # SDO is where the file has it, whatever the node id
         for index, entry in bench.device.description.objects.items():
@@ -362,4 +362,4 @@ def test_no_sequence_of_frames_breaks_a_node(sequence, name):
         assert 0 <= bench.node.out_brake_Nm <= 32.767
         assert bench.out["dropped"] == 0
         remapped = {int(p["cob_id"]) for p in bench.node.tpdo} | {int(bench.node.emcy_id), int(bench.node.sync_id)}
-        assert {s.can_id for s in bench.read_frames()} <= own | remapped
+        assert {s.can_id for s in bench.take()} <= own | remapped

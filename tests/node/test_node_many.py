@@ -17,7 +17,7 @@ from node_bench import Bench, description
 def test_the_core_answers_expedited_uploads_as_python_does(name, node_id):
     bench = Bench(name, node_id)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     by_core = 0
     for index, entry in description(name).objects.items():
         for subindex in (*entry.variables, 0xFE):
@@ -25,7 +25,7 @@ def test_the_core_answers_expedited_uploads_as_python_does(name, node_id):
             arguments = (bench.t, 0x600 + node_id, 8, data_word(data), bench.out)
             bench.device.service(*arguments)
             bench.frame(0x7FF)
-            (python,) = bench.read_frames(0x580 + node_id)
+            (python,) = bench.take(0x580 + node_id)
             bench.frame(0x600 + node_id, b"\x80" + bytes(7))  # ends what may be a segmented transfer
             count = int(bench.out["count"])
             served = []
@@ -33,7 +33,7 @@ def test_the_core_answers_expedited_uploads_as_python_does(name, node_id):
             bench.device.service = lambda *a, served=served, original=original: (served.append(a), original(*a))
             bench.frame(0x600 + node_id, data)
             bench.device.service = original
-            (core,) = bench.read_frames(0x580 + node_id)
+            (core,) = bench.take(0x580 + node_id)
             assert core == python
             assert count == 0
             by_core += not served
@@ -68,13 +68,13 @@ def test_as_many_pdos_as_there_is_room_for_act_on_one_sync():
     bench = Bench("many", 3, kind=GENERIC, eds=parse_eds(many_pdos(), "many.eds"))
     bench.power_on()
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     for k in range(MAX_PDOS + 1):
         bench.frame(0x200 + k, bytes((k + 1,)))
     assert [bench.device[0x2000 + k, 0] for k in range(MAX_PDOS)] == [0] * MAX_PDOS
     assert bench.node.rpdo_pending == MAX_PDOS
     bench.sync()
-    sent = bench.read_frames()
+    sent = bench.take()
     assert [frame.can_id for frame in sent] == [0x280 + k for k in range(MAX_PDOS)]
     assert [frame.data for frame in sent] == [bytes((k + 1,)) for k in range(MAX_PDOS)]
     assert bench.node.rpdo_pending == 0
@@ -82,4 +82,4 @@ def test_as_many_pdos_as_there_is_room_for_act_on_one_sync():
     bench.nmt(2)
     bench.nmt(1)
     bench.sync()
-    assert len(bench.read_frames()) == MAX_PDOS
+    assert len(bench.take()) == MAX_PDOS

@@ -26,7 +26,7 @@ INVALID = 0x80000000
 def booted(name: str = "motor", node_id: int = 1) -> Bench:
     bench = Bench(name, node_id)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -44,7 +44,7 @@ def remap(bench: Bench, direction: str, number: int, entries, cob_id: int, trans
 
 
 def times(bench: Bench, can_id: int) -> list[int]:
-    return [s.t_ns - 20 * US for s in bench.read_frames(can_id)]
+    return [s.t_ns - 20 * US for s in bench.take(can_id)]
 
 
 # transmission
@@ -69,12 +69,12 @@ def test_sync_start_value_delays_the_first_transmission():
     bench.write(0x1800, 2, 2, 1)
     bench.write(0x1800, 1, 0x181, 4)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     sent_at = []
     for k in range(12):
         counter = k % 6 + 1
         bench.sync(bytes((counter,)))
-        if bench.read_frames(0x181):
+        if bench.take(0x181):
             sent_at.append((k, counter))
     assert sent_at == [(3, 4), (5, 6), (7, 2), (9, 4), (11, 6)]
 
@@ -88,7 +88,7 @@ def test_acyclic_synchronous_tpdo_is_sent_on_the_sync_after_a_change():
         bench.node.in_velocity_counts_s = velocity
         bench.run(MS)
         bench.sync()
-        sent.append(len(bench.read_frames(0x281)))
+        sent.append(len(bench.take(0x281)))
     assert sent == [1, 0, 1, 0, 0, 1, 1, 0]
 
 
@@ -104,9 +104,9 @@ def test_event_driven_tpdo_by_its_timer():
     assert times(bench, 0x281) == [10 * MS, 20 * MS, 30 * MS]
     bench.write(0x1801, 5, 0, 2)
     bench.nmt(128)
-    bench.read_frames()
+    bench.take()
     bench.run(100 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
 
 
 def test_event_driven_tpdo_on_change_waits_for_the_inhibit_time():
@@ -121,7 +121,7 @@ def test_event_driven_tpdo_on_change_waits_for_the_inhibit_time():
         bench.until(t_ms * MS)
         bench.write(0x6040, 0, controlword, 2)
     bench.until(30 * MS)
-    (frame,) = bench.read_frames(0x381)
+    (frame,) = bench.take(0x381)
     assert frame.t_ns == 5 * MS + 20 * US
     assert int.from_bytes(frame.data, "little") & 0x6F == 0x21  # the latest value, once
     bench.write(0x6040, 0, 7, 2)
@@ -154,7 +154,7 @@ def test_a_changed_transmission_type_counts_anew_and_a_changed_event_timer_does_
     seen = []
     for count in range(1, 9):
         bench.sync()
-        seen += [count] * len(bench.read_frames(0x181))
+        seen += [count] * len(bench.take(0x181))
         if count == 2:
             bench.write(0x1800, 5, 10, 2)
         if count == 4:
@@ -169,16 +169,16 @@ def test_rtr_is_answered_where_the_cob_id_allows():
     bench.write(0x1801, 1, 0x281, 4)
     bench.node.in_velocity_counts_s = 99
     bench.frame(CAN_RTR_FLAG | 0x281, length=4)
-    assert bench.read_frames() == []  # PRE-OPERATIONAL
+    assert bench.take() == []  # PRE-OPERATIONAL
     bench.nmt(1)
     bench.sync()
-    assert bench.read_frames(0x281) == []
+    assert bench.take(0x281) == []
     bench.frame(CAN_RTR_FLAG | 0x281, length=4)
-    assert [s.data for s in bench.read_frames(0x281)] == [struct.pack("<i", 99)]
+    assert [s.data for s in bench.take(0x281)] == [struct.pack("<i", 99)]
     bench.write(0x1801, 1, INVALID | 0x281, 4)
     bench.write(0x1801, 1, 0x40000281, 4)
     bench.frame(CAN_RTR_FLAG | 0x281, length=4)
-    assert bench.read_frames(0x281) == []
+    assert bench.take(0x281) == []
 
 
 def test_rtr_of_type_252_gives_the_sample_of_the_last_sync():
@@ -189,7 +189,7 @@ def test_rtr_of_type_252_gives_the_sample_of_the_last_sync():
     bench.sync()
     bench.node.in_velocity_counts_s = 8
     bench.frame(CAN_RTR_FLAG | 0x281, length=4)
-    assert [s.data for s in bench.read_frames(0x281)] == [struct.pack("<i", 7)]
+    assert [s.data for s in bench.take(0x281)] == [struct.pack("<i", 7)]
 
 
 def test_tpdos_are_ready_after_the_processing_time():
@@ -197,7 +197,7 @@ def test_tpdos_are_ready_after_the_processing_time():
     bench.node.processing_ns = 35_000
     bench.run(MS)
     bench.sync()
-    assert [(s.can_id, s.t_ns) for s in bench.read_frames()] == [(0x181, MS + 35_000), (0x281, MS + 35_000)]
+    assert [(s.can_id, s.t_ns) for s in bench.take()] == [(0x181, MS + 35_000), (0x281, MS + 35_000)]
 
 
 EVENT_PDO = """[{parameter}]
@@ -275,17 +275,17 @@ def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind,
     """
     bench = Bench("", 5, kind, events(start_up=start_up))
     bench.power_on()
-    assert [s.can_id for s in bench.read_frames()] == [0x705]
+    assert [s.can_id for s in bench.take()] == [0x705]
     for leave in (128, 2, 129, 130, 128):
         bench.run(waited_ns)
-        assert bench.read_frames() == []
+        assert bench.take() == []
         bench.nmt(1)
-        assert [(s.can_id, s.data) for s in bench.read_frames()] == [(can_id, b"\0\0") for can_id in EVENT_IDS]
+        assert [(s.can_id, s.data) for s in bench.take()] == [(can_id, b"\0\0") for can_id in EVENT_IDS]
         bench.nmt(1)  # it is started already: no event
         bench.run(3 * MS)
-        assert bench.read_frames() == []
+        assert bench.take() == []
         bench.nmt(leave)
-        bench.read_frames(0x705)
+        bench.take(0x705)
 
 
 def test_a_device_that_starts_by_itself_sends_its_event_driven_tpdos_behind_the_boot_up():
@@ -295,12 +295,12 @@ def test_a_device_that_starts_by_itself_sends_its_event_driven_tpdos_behind_the_
     """
     bench = Bench("", 5, GENERIC, events(start_up="0"))
     bench.power_on()
-    assert [s.can_id for s in sorted(bench.read_frames(), key=lambda s: s.t_ns)] == [0x705, *EVENT_IDS]
+    assert [s.can_id for s in sorted(bench.take(), key=lambda s: s.t_ns)] == [0x705, *EVENT_IDS]
     bench.nmt(1)
-    assert bench.read_frames() == []
+    assert bench.take() == []
     bench.nmt(128)
     bench.nmt(1)
-    assert [s.can_id for s in bench.read_frames()] == EVENT_IDS
+    assert [s.can_id for s in bench.take()] == EVENT_IDS
 
 
 # reception
@@ -390,7 +390,7 @@ def test_remapped_tpdo_carries_any_widths():
     bench.nmt(1)
     bench.node.in_handle_Nm, bench.node.in_coil_degC = -0.321, 30.0
     bench.sync()
-    assert bench.read_frames(0x282)[0].data == struct.pack("<hBh", 300, 0, -321)
+    assert bench.take(0x282)[0].data == struct.pack("<hBh", 300, 0, -321)
 
 
 def test_remapped_rpdo_keeps_its_watch_of_the_setpoint():
@@ -484,14 +484,14 @@ def test_an_invalid_pdo_is_neither_sent_nor_received():
     bench = motor()
     bench.write(0x1800, 1, INVALID | 0x181, 4)
     bench.write(0x1400, 1, INVALID | 0x201, 4)
-    bench.read_frames()
+    bench.take()
     bench.frame(0x201, setpoint(6, 5))
     bench.sync()
-    assert [s.can_id for s in bench.read_frames()] == [0x281]
+    assert [s.can_id for s in bench.take()] == [0x281]
     assert bench.device[0x6071, 0] == 0
     bench.write(0x1800, 1, 0x1A5, 4)  # a new identifier
     bench.sync()
-    assert [s.can_id for s in bench.read_frames() if s.can_id != 0x581] == [0x1A5, 0x281]
+    assert [s.can_id for s in bench.take() if s.can_id != 0x581] == [0x1A5, 0x281]
 
 
 @pytest.mark.parametrize("transmission", [0, 1, 253, 255])
@@ -507,7 +507,7 @@ def test_a_pdo_that_maps_nothing_is_neither_sent_nor_received(transmission):
         bench.frame(CAN_RTR_FLAG | 0x181, length=0)
         bench.frame(0x201, b"\x06")
         bench.run(20 * MS)
-    assert bench.read_frames(0x181) == bench.emcy() == []
+    assert bench.take(0x181) == bench.emcy() == []
 
 
 INPUTS = [(0x6064, 32), (0x606C, 32), (0x6077, 16), (0x6041, 16), (0x6061, 8), (0x603F, 16), (0x1001, 8)]
@@ -529,6 +529,6 @@ def test_any_map_is_packed_as_struct_packs_it(seed):
     bench.node.in_velocity_counts_s = chance.randint(-(1 << 31), (1 << 31) - 1)
     bench.node.in_torque_pm = chance.randint(-32768, 32767)
     bench.sync()
-    (frame,) = bench.read_frames(0x481)
+    (frame,) = bench.take(0x481)
     content = b"".join(bench.upload(index) for index, _, _ in entries)
     assert frame.data == content

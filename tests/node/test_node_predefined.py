@@ -46,7 +46,7 @@ def node(text):
 
 
 def read(station, index, subindex=0):
-    station.read_frames()
+    station.take()
     station.send(0x600 + NODE, bytes((0x40, index & 0xFF, index >> 8, subindex, 0, 0, 0, 0)))
     answer = station.wait_for(0x580 + NODE, 5_000_000)
     return None if answer is None else int.from_bytes(answer.data[4:], "little")
@@ -65,7 +65,7 @@ def test_a_bare_description_is_a_whole_node():
     station.send(0x209, b"\x34\x12")
     network.wait_ns(5_000_000)
     assert device[0x2000, 0] == 0x1234
-    assert [frame.data for frame in station.read_frames(0x289)] == [b"\x07\x00", b"\x34\x12"]
+    assert [frame.data for frame in station.take(0x289)] == [b"\x07\x00", b"\x34\x12"]
 
 
 def test_a_pdo_whose_sub_indices_are_not_described_is_where_it_belongs():
@@ -89,7 +89,7 @@ def test_nothing_is_ever_sent_with_the_identifier_of_nmt(index):
     station.send(0x000, bytes((1, NODE)))
     station.send(0x209, b"\x05")
     network.wait_ns(20_000_000)
-    assert [frame for frame in station.read_frames() if frame.can_id == 0x000] == []
+    assert [frame for frame in station.take() if frame.can_id == 0x000] == []
 
 
 def test_what_is_assumed_is_what_is_told():
@@ -145,7 +145,7 @@ def test_a_pdo_that_cannot_be_read_is_not_valid_at_start_and_the_rest_is_served(
     assert device.unreadable[0].startswith("bare.eds:")
     station.send(0x000, bytes((1, NODE)))
     network.wait_ns(5_000_000)
-    assert [frame.can_id for frame in station.read_frames() if frame.can_id < 0x580] == [0x289]  # the other PDO
+    assert [frame.can_id for frame in station.take() if frame.can_id < 0x580] == [0x289]  # the other PDO
     assert read(station, 0x1800, 1) & 0x80000000
     assert read(station, 0x1A00, 0) & 0xFF == 0
     for index, subindex, value, size in ((0x1A00, 1, 0x20000010, 4), (0x1A00, 0, 1, 1), (0x1800, 1, 0x189, 4)):
@@ -155,7 +155,7 @@ def test_a_pdo_that_cannot_be_read_is_not_valid_at_start_and_the_rest_is_served(
         )
         assert station.wait_for(0x580 + NODE, 5_000_000).data[0] == 0x60
     network.wait_ns(5_000_000)
-    assert [frame.data for frame in station.read_frames(0x189)] == [b"\x07\x00"]
+    assert [frame.data for frame in station.take(0x189)] == [b"\x07\x00"]
     station.send(0x000, bytes((129, NODE)))
     network.wait_ns(5_000_000)
     assert read(station, 0x1800, 1) & 0x80000000

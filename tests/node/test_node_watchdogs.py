@@ -22,7 +22,7 @@ def running(**settings: int) -> Bench:
     bench.emcy()
     bench.sync()
     assert bench.node.out_torque_pm == 300
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -32,7 +32,7 @@ def brake(**settings: int) -> Bench:
     bench.write(0x1400, 5, settings.get("deadline_ms", 10), 2)
     bench.write(0x2002, 0, settings.get("sync_us", 0), 4)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -245,9 +245,9 @@ def test_after_a_fault_and_a_new_start_the_drive_runs_again():
 def test_watches_end_with_operational():
     bench = running(deadline_ms=10, sync_us=20_000, age_us=3000)
     bench.nmt(128)
-    bench.read_frames()
+    bench.take()
     bench.run(1000 * MS)
-    assert bench.read_frames() == []
+    assert bench.take() == []
     assert bench.node.causes == 0
 
 
@@ -280,7 +280,7 @@ def test_brake_tells_at_the_deadline_holds_then_ramps(lost):
         bench.frame(0x700 + HOST, b"\x05")
     bench.frame(0x202, (2000).to_bytes(2, "little"))
     bench.sync()
-    bench.read_frames()
+    bench.take()
     code, after_ms = {"deadline": (0x8250, 10), "sync": (0x8700, 20), "heartbeat": (0x8130, 30)}[lost]
     bench.until(after_ms * MS, judge_end=False)
     assert bench.emcy() == []

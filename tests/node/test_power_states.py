@@ -106,7 +106,7 @@ def drive(at: int = ENABLED, *, mode: int = 10, torque: int = 0, **objects: int)
         bench.node.in_faults = 0
         bench.sync()
     assert state(bench) == at
-    bench.read_frames()
+    bench.take()
     return bench
 
 

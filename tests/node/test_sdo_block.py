@@ -32,7 +32,7 @@ def crc_bitwise(data: bytes) -> int:
 def powered(name: str = "motor", node_id: int = 1, **options) -> Bench:
     bench = Bench(name, node_id, **options)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -50,7 +50,7 @@ def frames(bench: Bench) -> list[bytes]:
     """Let all that waits go out, and take it."""
     while bench.node.outbox_count:
         bench.run(100_000)
-    return [sent.data for sent in bench.read_frames(0x580 + bench.node_id)]
+    return [sent.data for sent in bench.take(0x580 + bench.node_id)]
 
 
 def send(bench: Bench, data: bytes) -> list[bytes]:
@@ -291,14 +291,14 @@ def test_every_phase_ends_in_a_time_out_or_with_the_client_s_abort_or_a_new_requ
     for request in requests:
         assert all(answer[0] != 0x80 for answer in send(bench, bytes.fromhex(request)))
     bench.run(SDO_TIMEOUT_NS + MS)
-    assert [sent.data for sent in bench.read_frames(0x581)] == [b"\x80" + head(index) + bytes.fromhex("00000405")]
+    assert [sent.data for sent in bench.take(0x581)] == [b"\x80" + head(index) + bytes.fromhex("00000405")]
     bench.run(3 * SDO_TIMEOUT_NS)
-    assert bench.read_frames(0x581) == []
+    assert bench.take(0x581) == []
     for request in requests:
         send(bench, bytes.fromhex(request))
     assert send(bench, b"\x80" + head(index) + bytes.fromhex("00000008")) == []  # no answer to an abort
     bench.run(3 * SDO_TIMEOUT_NS)
-    assert bench.read_frames(0x581) == []
+    assert bench.take(0x581) == []
     if "0161626364656667" not in requests and len(requests) > 1:
         for request in requests:
             send(bench, bytes.fromhex(request))
@@ -353,18 +353,18 @@ def test_a_block_leaves_room_on_the_bus_for_others():
     send(bench, bytes.fromhex("a42110007f"))
     bench.frame(0x601, b"\xa3" + bytes(7))
     assert bench.node.outbox_count == 127
-    assert len(bench.read_frames()) == 0  # nothing at once: the queue is everybody's
+    assert len(bench.take()) == 0  # nothing at once: the queue is everybody's
     bench.out["waiting"] = 3  # the bus has three frames of others to send
     bench.run(2 * MS)
-    assert [sent.can_id for sent in bench.read_frames()] == [0x701, 0x701]
+    assert [sent.can_id for sent in bench.take()] == [0x701, 0x701]
     bench.out["waiting"] = 0
     bench.run(200_000)
-    assert 0 < len(bench.read_frames(0x581)) < 10
+    assert 0 < len(bench.take(0x581)) < 10
     bench.nmt(2)
     assert bench.node.outbox_count == 0
-    bench.read_frames()
+    bench.take()
     bench.run(2 * SDO_TIMEOUT_NS)
-    assert bench.read_frames(0x581) == []
+    assert bench.take(0x581) == []
 
 
 def count_services(bench: Bench) -> list[bytes]:
@@ -425,7 +425,7 @@ def test_what_the_core_collected_goes_with_its_transfer(ending):
     else:
         bench.nmt(0x81 if ending == "reset" else 0x02)
         bench.nmt(0x80)
-    bench.read_frames()
+    bench.take()
     assert code(send(bench, b"\x02hijklmn")[0]) == 0x05040001
     assert bench.node.segments_open == 0
     assert bench.upload(0x2004) == before
@@ -440,16 +440,16 @@ def test_two_servers_collect_beside_each_other():
     texts = {0x601: (0x581, b"left " * 20), 0x6D0: (0x580, b"right" * 20)}
     for rx in texts:
         bench.frame(rx, bytes.fromhex("c204200064000000"))
-    bench.read_frames()
+    bench.take()
     for number in range(1, 15):
         for rx, (_, text) in texts.items():
             bench.frame(rx, bytes((number,)) + text[7 * number - 7 : 7 * number])
     assert bench.node.segments_open == 2
-    assert bench.read_frames() == []
+    assert bench.take() == []
     for rx, (tx, text) in texts.items():
         bench.frame(rx, b"\x8f" + text[98:].ljust(7, b"\0"))
         bench.frame(rx, bytes((0xC1 | 5 << 2,)).ljust(8, b"\0"))
-        assert [sent.data[:2] for sent in bench.read_frames(tx)] == [b"\xa2\x0f", b"\xa1\0"]
+        assert [sent.data[:2] for sent in bench.take(tx)] == [b"\xa2\x0f", b"\xa1\0"]
         assert bench.upload(0x2004) == text
 
 
@@ -463,9 +463,9 @@ def test_a_server_whose_identifier_changes_forgets_what_was_collected_for_it():
     bench.write(0x1201, 1, 0x800006D0, 4)
     assert bench.node.segments_open == 0
     bench.write(0x1201, 1, 0x6D0, 4)
-    bench.read_frames()
+    bench.take()
     bench.frame(0x6D0, b"\x02hijklmn")
-    assert [code(sent.data) for sent in bench.read_frames(0x580)] == [0x05040001]
+    assert [code(sent.data) for sent in bench.take(0x580)] == [0x05040001]
 
 
 _PIECES = tuple(
@@ -501,7 +501,7 @@ def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed
             bench.run(pause)
             bench.frame(0x601, data)
         collected += int(benches[0].node.segments_open)
-        first, second = (bench.read_frames() for bench in benches)
+        first, second = (bench.take() for bench in benches)
         assert first == second
     assert collected > 100
     for bench in benches:
@@ -522,7 +522,7 @@ class Wire(canopen.Network):
         self.bench.frame(can_id, bytes(data))
         while self.bench.node.outbox_count:
             self.bench.run(100_000)
-        for sent in self.bench.read_frames():
+        for sent in self.bench.take():
             self.notify(sent.can_id, bytearray(sent.data), 0.0)
 
 

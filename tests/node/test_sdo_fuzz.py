@@ -35,7 +35,7 @@ class Clients(RuleBasedStateMachine):
         self.bench.power_on()
         self.bench.write(0x1201, 1, 0x6D0, 4)
         self.bench.write(0x1201, 2, 0x580, 4)
-        self.bench.read_frames()
+        self.bench.take()
         self.model = {TEXT: self.bench.upload(TEXT), HEARTBEAT: bytes(2), SLOPE: (10_000_000).to_bytes(4, "little")}
 
     def ask(self, client: int, data: bytes) -> list[bytes]:
@@ -43,9 +43,9 @@ class Clients(RuleBasedStateMachine):
         self.bench.frame(rx, data.ljust(8, b"\0"))
         while self.bench.node.outbox_count:
             self.bench.run(100_000)
-        answers = [frame.data for frame in self.bench.read_frames(tx)]
+        answers = [frame.data for frame in self.bench.take(tx)]
         other = CLIENTS[1 - client][1]
-        assert not [frame for frame in self.bench.read_frames(other) if frame.data[0] != 0x80]  # nothing for the other
+        assert not [frame for frame in self.bench.take(other) if frame.data[0] != 0x80]  # nothing for the other
         return answers
 
     def abort(self, client: int) -> None:
@@ -141,12 +141,12 @@ class Clients(RuleBasedStateMachine):
     @rule(client=clients)
     def fall_silent(self, client):
         """Whoever is in the middle of a transfer is told, once."""
-        self.bench.read_frames()
+        self.bench.take()
         self.bench.run(SDO_TIMEOUT_NS + MS)
-        told = [frame.can_id for frame in self.bench.read_frames() if frame.data[:1] == b"\x80"]
+        told = [frame.can_id for frame in self.bench.take() if frame.data[:1] == b"\x80"]
         assert len(told) == len(set(told)) <= 2
         self.bench.run(SDO_TIMEOUT_NS + MS)
-        assert not [frame for frame in self.bench.read_frames() if frame.can_id in (0x580, 0x581)]
+        assert not [frame for frame in self.bench.take() if frame.can_id in (0x580, 0x581)]
 
     @invariant()
     def memory_is_bounded(self) -> None:
@@ -178,11 +178,11 @@ def test_after_any_frames_a_reset_makes_the_node_whole():
         bench.run(rng.randrange(1, 3) * 100_000)
         can_id, data = random_frame(rng)
         bench.frame(can_id, data)
-        bench.read_frames()
+        bench.take()
     bench.device.store.put({name: {} for name in ("communication", "application", "manufacturer", "lss")})
     bench.device.power_off()
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     assert bench.number(0x1000) == 0x20192
     assert bench.number(0x1017) == 0
     assert bench.node.out_torque_pm == 0

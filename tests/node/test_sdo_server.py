@@ -21,7 +21,7 @@ from node_bench import EDS, MS, Bench, SdoAborted, description, motor
 def powered(name: str = "motor", node_id: int = 1) -> Bench:
     bench = Bench(name, node_id)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -234,14 +234,14 @@ def test_a_stale_transfer_is_aborted_by_the_core_at_its_time():
     bench.request(bytes.fromhex("6000000000000000"))
     last = bench.t
     bench.until(last + SDO_TIMEOUT_NS, judge_end=False)
-    assert bench.read_frames(0x581) == []
+    assert bench.take(0x581) == []
     bench.run(0)
-    (frame,) = bench.read_frames(0x581)
+    (frame,) = bench.take(0x581)
     assert frame.data == bytes.fromhex("8008100000000405")
     assert frame.t_ns == last + SDO_TIMEOUT_NS + 20_000
     assert code(bench.request(bytes.fromhex("7000000000000000"))) == 0x05040001
     bench.run(3 * SDO_TIMEOUT_NS)
-    assert bench.read_frames(0x581) == []
+    assert bench.take(0x581) == []
 
 
 def test_a_segment_at_the_very_time_out_is_in_time():
@@ -254,7 +254,7 @@ def test_a_segment_at_the_very_time_out_is_in_time():
 def test_requests_of_a_wrong_length_are_dropped_and_counted():
     bench = powered()
     bench.frame(0x601, bytes.fromhex("40001000"))
-    assert bench.read_frames() == []
+    assert bench.take() == []
     assert bench.node.dropped_length == 1
 
 
@@ -334,7 +334,7 @@ class Wire(canopen.Network):
 
     def send_message(self, can_id, data, remote=False):
         self.bench.frame(can_id, bytes(data))
-        for sent in self.bench.read_frames():
+        for sent in self.bench.take():
             self.notify(sent.can_id, bytearray(sent.data), 0.0)
 
 

@@ -62,7 +62,7 @@ def eds() -> bytes:
 def powered(node_id: int = 3) -> Bench:
     bench = Bench("types", node_id, kind=GENERIC, eds=parse_eds(eds(), "types.eds"))
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -161,7 +161,7 @@ def ask(bench: Bench, can_id: int, request: str) -> list[tuple[int, bytes]]:
     bench.frame(can_id, bytes.fromhex(request).ljust(8, b"\0"))
     while bench.node.outbox_count:
         bench.run(100_000)
-    return [(frame.can_id, frame.data) for frame in bench.read_frames()]
+    return [(frame.can_id, frame.data) for frame in bench.take()]
 
 
 @pytest.mark.parametrize("index", [0x1201, 0x127F])
@@ -200,22 +200,22 @@ def test_two_clients_at_once_do_not_disturb_each_other():
     bench.download(0x2206, 0, bytes(range(200)) * 10)
     bench.write(0x1201, 1, 0x6D0, 4)
     bench.write(0x1201, 2, 0x580, 4)
-    bench.read_frames()
+    bench.take()
     first = ask(bench, 0x603, "a406220014")  # block upload, 20 segments a block
     assert first[0][1][0] == 0xC6
     ask(bench, 0x6D0, "210222000c000000")  # and a segmented download
     bench.frame(0x603, b"\xa3" + bytes(7))
     bench.frame(0x6D0, b"\x00" + b"seven 7")
     bench.run(5 * MS)
-    got = bench.read_frames()
+    got = bench.take()
     assert [frame.data for frame in got if frame.can_id == 0x580] == [b"\x20" + bytes(7)]
     assert [frame.data[0] & 0x7F for frame in got if frame.can_id == 0x583] == list(range(1, 21))
     assert ask(bench, 0x6D0, "6000000000000000")[0][1][0] == 0x80  # a mistake of the one
     assert len(ask(bench, 0x603, "a21414")) == 20  # is nothing to the other
     bench.frame(0x6D0, bytes.fromhex("4006220000000000"))
-    bench.read_frames()
+    bench.take()
     bench.run(SDO_TIMEOUT_NS + MS)  # both stop midway
-    late = sorted((frame.can_id, frame.data.hex()) for frame in bench.read_frames())
+    late = sorted((frame.can_id, frame.data.hex()) for frame in bench.take())
     assert late == [(0x580, "8006220000000405"), (0x583, "8006220000000405")]
 
 

@@ -29,7 +29,7 @@ def served(text, kind=None, node_id=5):
     kind = kind or of_description(description)
     bench = Bench("x", node_id, kind, opened(description, kind).description)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -281,7 +281,7 @@ def guarded(option, guard_ms=50, factor=3):
     bench.write(0x100D, 0, factor, 1)
     enabled(bench, 10)
     bench.write(0x6071, 0, 100, 2)
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -291,7 +291,7 @@ def test_another_makers_drive_does_what_6007h_says_when_its_guarding_host_is_los
     answers = []
     for _ in range(4):
         bench.frame(0x701 | CAN_RTR_FLAG, length=1)
-        answers += [frame.data[0] for frame in bench.read_frames(0x701)]
+        answers += [frame.data[0] for frame in bench.take(0x701)]
         bench.run(50 * MS)
     assert answers == [5, 0x85, 5, 0x85]
     assert bench.node.out_torque_pm == 100
@@ -343,7 +343,7 @@ def test_a_vendors_file_is_served_and_gives_torque_where_it_has_the_objects(path
     kind = of_description(description)
     bench = Bench("x", 5, kind, opened(description, kind).description)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     if kind is not DRIVE402 or not description.has(0x6071):
         bench.nmt(1)
         bench.run(100 * MS)
@@ -367,7 +367,7 @@ def starts(description, kind):
     for command in ((), (2,), (128,), (130,), (129,)):
         for one in command:
             bench.nmt(one)
-        bench.read_frames()
+        bench.take()
         due = [int(p["cob_id"]) for p in bench.node["tpdo"] if p["cob_id"] >= 0 and p["transmission"] >= 254]
         bench.nmt(1)
         sent = [frame.can_id for frame in bench.sent]

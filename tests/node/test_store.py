@@ -22,7 +22,7 @@ RESET_NODE, RESET_COMMUNICATION = 129, 130
 def powered(store=None, name="motor", node_id=1) -> Bench:
     bench = Bench(name, node_id, store=store)
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     return bench
 
 
@@ -82,13 +82,13 @@ def test_what_is_stored_acts_after_the_reset():
     bench.download(0x1010, 1, SAVE)
     bench.device.power_off()
     bench.power_on()
-    bench.read_frames()
+    bench.take()
     bench.nmt(1)
     bench.sync()
-    (frame,) = bench.read_frames(0x1F1)
+    (frame,) = bench.take(0x1F1)
     assert len(frame.data) == 4
     bench.run(30_000_000)
-    assert len(bench.read_frames(0x701)) == 3
+    assert len(bench.take(0x701)) == 3
 
 
 @pytest.mark.parametrize("data", [b"evas", b"SAVE", b"load", bytes(4), b"\1\0\0\0"])
@@ -152,7 +152,7 @@ def test_lss_settings_outlive_the_process(tmp_path: Path):
         bench.frame(0x7E5, bytes.fromhex(data).ljust(8, b"\0"))
     bench = Bench("motor", 1, store=FileStore(path))
     bench.power_on()
-    assert [frame.can_id for frame in bench.read_frames()] == [0x705]
+    assert [frame.can_id for frame in bench.take()] == [0x705]
 
 
 def test_the_file_of_another_device_is_not_used(tmp_path: Path):

@@ -109,7 +109,7 @@ class Bench:
 
     # what the tester reads
 
-    def read_frames(self, can_id: int | None = None) -> list[Sent]:
+    def take(self, can_id: int | None = None) -> list[Sent]:
         """Take what was sent (with this identifier)."""
         taken = [s for s in self.sent if can_id in (None, s.can_id)]
         self.sent = [s for s in self.sent if can_id not in (None, s.can_id)]
@@ -117,7 +117,7 @@ class Bench:
 
     def emcy(self) -> list[tuple[int, int, int]]:
         """Take the EMCY messages: (code, register, information)."""
-        frames = self.read_frames(0x80 + self.node_id)
+        frames = self.take(0x80 + self.node_id)
         return [(int.from_bytes(f.data[:2], "little"), f.data[2], int.from_bytes(f.data[3:], "little")) for f in frames]
 
     # services
@@ -130,9 +130,9 @@ class Bench:
 
     def request(self, data: bytes) -> bytes | None:
         """One SDO request and its response, if there is one."""
-        self.read_frames(0x580 + self.node_id)
+        self.take(0x580 + self.node_id)
         self.frame(0x600 + self.node_id, data)
-        answers = self.read_frames(0x580 + self.node_id)
+        answers = self.take(0x580 + self.node_id)
         assert len(answers) <= 1
         return answers[0].data if answers else None
 
@@ -198,7 +198,7 @@ def motor(**settings: int) -> Bench:
     if "age_us" in settings:
         bench.write(0x2001, 0, settings["age_us"], 4)
     bench.nmt(1)
-    bench.read_frames()
+    bench.take()
     return bench
 
 

@@ -40,7 +40,7 @@ def test_the_docstrings_example():
     tester = network.station()
     network.power_on()
     network.wait_ns(10 * MS)
-    boot = tester.read_frames(0x705)[0]
+    boot = tester.take(0x705)[0]
     assert (boot.data, boot.source) == (b"\0", 0)
     assert boot.t_ns == 20_000 + (frame_bits(0x705, b"\0") - 3) * 2_000  # the node's processing time, then its bits
     tester.send(0x605, upload(0x1018, 1))
@@ -55,10 +55,10 @@ def test_every_node_answers_a_sync_in_the_order_of_identifiers():
     network.power_on()
     tester.send(0x000, START)
     network.wait_ns(20 * MS)
-    tester.read_frames()
+    tester.take()
     tester.send(0x080)
     network.wait_ns(20 * MS)
-    heard = [frame.can_id for frame in tester.read_frames() if frame.can_id < 0x600]
+    heard = [frame.can_id for frame in tester.take() if frame.can_id < 0x600]
     tpdos = [can_id for can_id in heard if can_id in range(0x181, 0x181 + 40)]
     assert tpdos == list(range(0x181, 0x181 + 40))
     assert heard == sorted(heard, key=arbitration_key)
@@ -112,8 +112,8 @@ def test_stations_hear_what_they_name_and_may_answer_at_once():
     network.wait_ns(5 * MS)
     assert [(frame.can_id, frame.data) for frame in heard] == [(0x100, b"ab")]
     expected = [(0x100, b"ab"), (0x101, b"ab"), (0x102, b""), (0x100 | CAN_RTR_FLAG, b"\0\0\0")]
-    assert [(frame.can_id, frame.data) for frame in everything.read_frames()] == expected
-    assert [(frame.can_id, frame.source) for frame in other.read_frames()] == [(0x101, echo.number)]
+    assert [(frame.can_id, frame.data) for frame in everything.take()] == expected
+    assert [(frame.can_id, frame.source) for frame in other.take()] == [(0x101, echo.number)]
     with pytest.raises(ValueError, match="at most 8"):
         other.send(0x100, bytes(9))
 

@@ -59,7 +59,7 @@ class Bench:
         assert answer.data[0] == 0x60
 
     def read(self, index, form):
-        self.station.read_frames()
+        self.station.take()
         self.station.send(0x600 + NODE_ID, struct.pack("<BHB4x", 0x40, index, 0))
         answer = self.station.wait_for(0x580 + NODE_ID, 5 * MS)
         assert answer is not None
@@ -153,9 +153,9 @@ def test_an_event_driven_tpdo_shows_the_moment_at_which_it_is_sent():
     bench.write(0x1800, 10, "H", 5)
     bench.write(0x1800, 0x180 + NODE_ID, "I", 1)
     bench.write(0x6071, 300, "h")
-    bench.station.read_frames()
+    bench.station.take()
     bench.until(150)
-    frames = bench.station.read_frames(0x180 + NODE_ID)
+    frames = bench.station.take(0x180 + NODE_ID)
     speeds = [struct.unpack("<i", frame.data)[0] for frame in frames]
     assert len(speeds) >= 8
     steps = [after - before for before, after in pairwise(speeds[2:])]

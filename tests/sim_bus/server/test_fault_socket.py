@@ -90,9 +90,9 @@ def test_the_wire_is_as_before_after_clear(fault, values):
     assert int(network.bus[0].fault_count) == 0
     network.wait_ns(300 * MS)  # bus-off may have to end
     errors = int(network.bus[0].errors)
-    ear.read_frames(0x705)
+    ear.take(0x705)
     network.wait_ns(100 * MS)
-    assert len(ear.read_frames(0x705)) == 10
+    assert len(ear.take(0x705)) == 10
     assert int(network.bus[0].errors) == errors
     assert network.injection.results()[0]["times"] == times
 
@@ -102,14 +102,14 @@ def test_a_cable_is_cut_at_a_node_and_mended():
     network_ear = network.station({0x705})
     faults.inject("cut", "5", None, {})
     network.wait_ns(50 * MS)
-    network_ear.read_frames(0x705)
+    network_ear.take(0x705)
     network.wait_ns(50 * MS)
-    assert not network_ear.read_frames(0x705)
+    assert not network_ear.take(0x705)
     with pytest.raises(FaultRefused, match="acts already"):
         faults.inject("cut", "5", None, {})
     faults.clear("", "")
     network.wait_ns(300 * MS)
-    assert network_ear.read_frames(0x705)
+    assert network_ear.take(0x705)
 
 
 def test_a_node_boots_with_another_id_and_back():

@@ -89,7 +89,7 @@ def test_a_value_that_is_set_goes_out_with_the_next_pdo(device):
         server.tester.send(0x080)
         server.pass_ms(25)  # the call-back is called ...
         server.pass_ms(25)  # ... and its value is taken over
-    assert [frame.data for frame in server.tester.read_frames(0x185)] == [
+    assert [frame.data for frame in server.tester.take(0x185)] == [
         b"\0\0",
         (-2150).to_bytes(2, "little", signed=True),
     ]
