@@ -9,9 +9,9 @@ from click.testing import CliRunner
 
 from coulombus.cli import commission as verb
 from coulombus.cli.main import main
-from coulombus.host.commission import steps
-from coulombus.host.commission.limits import Limits
-from coulombus.host.commission.transducer import Weight, Zero
+from coulombus.host.commission import session
+from coulombus.host.commission.limits import LimitsStep
+from coulombus.host.commission.transducer import WeightStep, ZeroStep
 from coulombus.rigs.rig import load_rig, packaged_rig
 
 
@@ -19,7 +19,7 @@ from coulombus.rigs.rig import load_rig, packaged_rig
 def call(tmp_path, monkeypatch):
     """Return a call of the verb on a rig file of its own, with two steps only."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(steps, "STEPS", (Zero(), Limits()))
+    monkeypatch.setattr(session, "STEPS", (ZeroStep(), LimitsStep()))
     (tmp_path / "my.toml").write_text(packaged_rig("bench").read_text())
 
     def run(more, status=0, **options):
@@ -107,7 +107,7 @@ def test_what_cannot_be_commissioned_is_refused_with_the_remedy(call, private_so
 
 
 def test_a_step_that_is_asked_for_and_cannot_be_done_is_status_1(call, monkeypatch):
-    monkeypatch.setattr(steps, "STEPS", (Weight(),))
+    monkeypatch.setattr(session, "STEPS", (WeightStep(),))
     result = call("--rig my.toml --virtual --yes --step weight", 1)
     assert "give --weight-Nm" in result.stderr
     assert result.stdout == ""

@@ -18,7 +18,7 @@ import pytest
 from coulombus.kernels import numba_inside
 from coulombus.kernels.compile_notice import compiling, on_compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, Entry, kernel
-from coulombus.kernels.kernel_cache import LONGEST_S, MARKER, alone, kept
+from coulombus.kernels.kernel_cache import LONGEST_S, MARKER, alone, is_cached
 from coulombus.kernels.sources import source_key
 from coulombus.lab.simulate import simulate
 from places import ROOT
@@ -419,9 +419,9 @@ def test_who_waits_for_another_process_says_that_something_is_compiled(tmp_path)
         assert waits.stdout.readline() == "waits\n"
     assert waits.communicate(timeout=120)[0] == "goes on\n"
     assert lines == []
-    assert kept(tmp_path, "other.entry")
-    assert kept(tmp_path, "own.entry")
-    assert not kept(tmp_path, "entry")
+    assert is_cached(tmp_path, "other.entry")
+    assert is_cached(tmp_path, "own.entry")
+    assert not is_cached(tmp_path, "entry")
     compiling()
 
 
@@ -429,7 +429,7 @@ def test_what_cannot_be_compiled_counts_as_nothing_and_keeps_nobody_waiting(tmp_
     for _ in range(2):
         with pytest.raises(RuntimeError), alone(tmp_path, "own.entry"):
             raise RuntimeError
-    assert not kept(tmp_path, "own.entry")
+    assert not is_cached(tmp_path, "own.entry")
 
 
 @pytest.mark.thorough

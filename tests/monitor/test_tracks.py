@@ -1,12 +1,12 @@
 import numpy as np
 
-from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, Envelope, Samples, velocity
+from coulombus.monitor.tracks import BIN_NS, ENVELOPE_BINS, LiveEnvelope, Samples, velocity
 
 MS = 1_000_000
 
 
 def test_an_envelope_holds_least_and_most_of_each_bin():
-    envelope = Envelope()
+    envelope = LiveEnvelope()
     t = np.arange(1000, 1100) * MS
     values = np.sin(t * 1e-7) - 3.0
     for part in np.array_split(np.arange(100), 7):  # batches end within bins
@@ -19,7 +19,7 @@ def test_an_envelope_holds_least_and_most_of_each_bin():
 
 
 def test_a_gap_is_nan_and_old_bins_are_forgotten():
-    envelope = Envelope()
+    envelope = LiveEnvelope()
     envelope.add(np.array([0, 1]), np.array([5.0, 6.0]))
     envelope.add(np.array([3 * BIN_NS]), np.array([-1.0]))
     first, low, high = envelope.since(0)
@@ -33,7 +33,7 @@ def test_a_gap_is_nan_and_old_bins_are_forgotten():
 
 
 def test_late_samples_and_nan_change_no_envelope():
-    envelope = Envelope()
+    envelope = LiveEnvelope()
     envelope.add(np.array([5 * BIN_NS]), np.array([1.0]))
     envelope.add(np.array([2 * BIN_NS, 5 * BIN_NS]), np.array([-9.0, np.nan]))
     _, low, high = envelope.since(5)
@@ -63,8 +63,8 @@ def test_the_velocity_is_the_difference_over_whole_periods():
 def test_signals_together_are_as_each_by_itself():
     """Times that rise, stand still, jump ahead and are set back; values that are no numbers."""
     rng = np.random.default_rng(7)
-    together, ring = Envelope(3), Samples(50, 3)
-    alone, rings = [Envelope() for _ in range(3)], [Samples(50) for _ in range(3)]
+    together, ring = LiveEnvelope(3), Samples(50, 3)
+    alone, rings = [LiveEnvelope() for _ in range(3)], [Samples(50) for _ in range(3)]
     now = 0
     for _ in range(300):
         n = int(rng.integers(0, 80))
@@ -90,7 +90,7 @@ def test_signals_together_are_as_each_by_itself():
 
 def test_an_envelope_is_that_of_all_samples_whatever_the_batches():
     rng = np.random.default_rng(3)
-    envelope, t, values = Envelope(), np.sort(rng.integers(0, 9 * 10**9, 4000)), rng.normal(size=4000)
+    envelope, t, values = LiveEnvelope(), np.sort(rng.integers(0, 9 * 10**9, 4000)), rng.normal(size=4000)
     values[::17] = np.nan
     for part in np.array_split(np.arange(4000), 97):
         envelope.add(t[part], values[part])

@@ -253,7 +253,7 @@ def test_rows_of_a_rig_with_two_buses_name_the_bus(two, two_buses, tmp_path):
     assert [row["bus"] for row in told] == ["a", "a", "b"] * CYCLES
     assert [row["node"] for row in told if row["pdo"]] == ["left.motor", "right.motor"] * CYCLES
     stamps = recorded(blocks(two, two_buses))
-    assert {channel: {i: line.frames for i, line in of.of.items()} for channel, of in stamps.items()} == {
+    assert {channel: {i: line.frames for i, line in of.by_id.items()} for channel, of in stamps.items()} == {
         "a": {SYNC: CYCLES, TPDO1: CYCLES},
         "b": {TPDO1: CYCLES},
     }

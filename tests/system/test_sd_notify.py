@@ -79,5 +79,5 @@ def test_a_manager_that_does_not_read_holds_nobody_up(manager):
 def test_an_abstract_socket_is_reached():
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ear:
         ear.bind(f"\0coulombus-test-{os.getpid()}")
-        Notifier({"NOTIFY_SOCKET": f"@coulombus-test-{os.getpid()}"}).tell(READY=1)
+        Notifier({"NOTIFY_SOCKET": f"@coulombus-test-{os.getpid()}"}).send(READY=1)
         assert heard(ear) == ["READY=1"]

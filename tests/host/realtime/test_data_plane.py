@@ -384,12 +384,12 @@ def test_a_trip_says_what_became_of_whom(trip, error, told):
 
 def test_spread_of_a_histogram():
     bins = np.zeros(BINS, np.int64)
-    assert Spread.of(bins, 0) is None
+    assert Spread.from_bins(bins, 0) is None
     bins[9], bins[499], bins[BINS - 1] = 98, 1, 1
-    assert Spread.of(bins, 70_000_000).as_dict() == {"p50": 10.0, "p99": 500.0, "max": 70_000.0}
+    assert Spread.from_bins(bins, 70_000_000).as_dict() == {"p50": 10.0, "p99": 500.0, "max": 70_000.0}
     bins[499] = 0
     bins[BINS - 1] = 2
-    assert Spread.of(bins, 70_000_000).p99 == 70_000.0
+    assert Spread.from_bins(bins, 70_000_000).p99 == 70_000.0
 
 
 def test_the_picture_counts_every_cycle():

@@ -406,7 +406,7 @@ def spread(max_ns, **counts):
     bins = np.zeros(BINS, np.int64)
     for row, n in counts.items():
         bins[int(row[1:])] = n
-    return Spread.of(bins, max_ns)
+    return Spread.from_bins(bins, max_ns)
 
 
 @pytest.mark.parametrize(

@@ -236,7 +236,7 @@ def test_each_axis_takes_the_newest_models_when_its_tpdos_are_there(bench):
     found, left = [bus_sockets.COMPLETE, bus_sockets.TOOK, bus_sockets.COMPLETE], [1, 0, 0]
     bench.b.poll = type("Poll", (dict,), {"ctypes": SimpleNamespace(data=77)})({0: 1 << 48})
     bench.patch(loop, "ppoll_ns", lambda *_: 1)
-    bench.patch(loop, "take", lambda b, k, live: found.pop(0))
+    bench.patch(loop, "receive_message", lambda b, k, live: found.pop(0))
     bench.patch(loop, "transmit", lambda b, patience: 0)
     bench.patch(loop, "log_moment", lambda plane, trace, kind, *row: bench.world.append(Moment(kind).name))
     bench.patch(loop, "finish", lambda *_: bench.world.append("finish") or left.pop(0))
@@ -258,7 +258,7 @@ class Commanded(Bench):
         self.patch(loop, "load_acquire", lambda at: self.next_command() if at - SHARED == loop.AT_COMMAND else 0)
         self.patch(loop, "clock_ns", lambda clock: self.cpu.pop(0))
         self.patch(loop, "_cycle", lambda b, law, arm: self.gone)
-        self.patch(loop, "take", self.take)
+        self.patch(loop, "receive_message", self.take)
         self.patch(loop, "ppoll_ns", self.wait)
         self.patch(loop, "safe_setpoints", lambda axes, t_ns, out: self.safe.append((t_ns, out.count)))
         self.patch(loop, "transmit", self.transmit)

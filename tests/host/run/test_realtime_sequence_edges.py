@@ -46,8 +46,8 @@ class Plane:
     def hold_deadman(self, until_ns):
         self.log.append(("hold_deadman", until_ns))
 
-    def take(self):
-        self.log.append(("take",))
+    def take_frames(self):
+        self.log.append(("take_frames",))
         return "frames"
 
     def take_trace(self):
@@ -91,7 +91,7 @@ def course_of(monkeypatch, rig="bench"):
     found._keys, found.signals = Keys(), SimpleNamespace(number=0)
     found.door = SimpleNamespace(stop_wanted=lambda: False)
     found.notifier = SimpleNamespace(
-        tell=lambda **what: log.append(("tell", what)), alive=lambda cycles: log.append(("alive", cycles))
+        send=lambda **what: log.append(("send", what)), alive=lambda cycles: log.append(("alive", cycles))
     )
     found.world = SimpleNamespace(models=SimpleNamespace(take_rows=bytes), controlled=False, close=lambda: None)
     found.answers = SimpleNamespace(serve_status=lambda ns: log.append(("answer", ns)))
@@ -156,7 +156,7 @@ def test_a_change_is_ordered_and_marked(run):
     recording(run)
     run.clock.sleep(2)
     run._apply(SimpleNamespace(index=1, number=4, marker="set F_s"))
-    assert run.log == [("order", 1, 4), ("mark", 2 * S, "set F_s")]
+    assert run.log == [("publish_order", 1, 4), ("mark", 2 * S, "set F_s")]
 
 
 @pytest.mark.parametrize("error", [None, OSError(), termios.error()])
@@ -192,7 +192,7 @@ def test_what_is_logged_is_taken_always_and_written_while_it_can_be(run, recorde
         run.recorder.keep_models = lambda rows: run.log.append(("models", rows))
     run.drain(9)
     written = [("models", b""), ("batch", "frames", "rows", 9), ("write", run.recorder, "bits")]
-    assert run.log == [("take_trace",), ("take",), *(written if recorder and failure is None else [])]
+    assert run.log == [("take_trace",), ("take_frames",), *(written if recorder and failure is None else [])]
 
 
 @pytest.mark.parametrize(
@@ -335,7 +335,7 @@ def test_a_course_arms_displays_and_makes_safe(run, monkeypatch, deadman, switch
         "signals",
         ("attend",),
         ("start_cycle", ZERO_NS + (20 * MS if now_ns < ZERO_NS + MS else 21 * MS)),
-        ("tell", {"READY": 1, "STATUS": "cycling on can0 in mode hybrid"}),
+        ("send", {"READY": 1, "STATUS": "cycling on can0 in mode hybrid"}),
         ("display", 2.5),
         ("make_safe",),
     ]
@@ -357,11 +357,11 @@ def test_a_bus_that_is_lost_before_is_not_armed(run, monkeypatch, status, alive)
     assert run.log[-2:] == ["defer", "signals"]
 
 
-@pytest.mark.parametrize("where", ["display", "tell"])
+@pytest.mark.parametrize("where", ["display", "send"])
 def test_an_error_of_this_process_is_a_trip_and_the_rig_is_made_safe(run, monkeypatch, where):
     coursing(run, monkeypatch)
-    if where == "tell":
-        run.notifier.tell = raising(ValueError("x"))
+    if where == "send":
+        run.notifier.send = raising(ValueError("x"))
     else:
         run.display = raising(ValueError("x"))
     display(run, 1.0)
@@ -419,7 +419,7 @@ def ending(run, *, done_after=None, supervise=None):
 
 
 LAST = ["look", ("_never_cycled",), ("mark_end",)]
-STOPPING = ("tell", {"STOPPING": 1, "STATUS": "ending safely"})
+STOPPING = ("send", {"STOPPING": 1, "STATUS": "ending safely"})
 
 
 def test_the_safe_state_is_asked_for_until_all_axes_are_done(run):
@@ -482,7 +482,7 @@ def test_an_error_now_and_then_does_not_end_the_waiting(run):
 
 def test_a_service_manager_that_does_not_listen_keeps_nothing_from_the_safe_end(run):
     ending(run, done_after=1)
-    run.notifier.tell = raising(OSError("gone"))
+    run.notifier.send = raising(OSError("gone"))
     run.make_safe()
     assert run.log == [("stop", Trip.HOST), ("stop",), "look", ("stop",), *LAST]
 

@@ -143,7 +143,7 @@ class Plane:
         if h["phase"][0] == Phase.SAFE and t_ns >= int(h["trip_ns"][0]) + 600 * MS:
             h["phase"] = Phase.DONE
 
-    def take(self):
+    def take_frames(self):
         self.batches += 1
         if self.batches == self.slow_batch:
             self.clock.sleep(1.4)
