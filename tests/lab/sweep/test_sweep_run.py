@@ -294,13 +294,13 @@ def test_a_killed_process_costs_one_run(sweep_file, monkeypatch):
 def test_a_process_has_its_next_run_before_the_present_is_done(sweep_file, monkeypatch):
     sweep = read_sweep(sweep_file())
     requests = [run_request(sweep, run) for run in range(sweep.runs)]
-    held, own = [], workers._Worker.take
+    held, own = [], workers._Worker.send
 
-    def take(worker, order):
-        own(worker, order)
+    def send(worker, request):
+        own(worker, request)
         held.append(len(worker.requests))
 
-    monkeypatch.setattr(workers._Worker, "take", take)
+    monkeypatch.setattr(workers._Worker, "send", send)
     assert sorted(done.row["run"] for done in on_processes(Job.from_sweep(sweep), requests, 1)) == list(range(6))
     assert held[:2] == [1, 2]
     assert held[-1] == 1
