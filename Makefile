@@ -12,8 +12,10 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
 unexport PYTHONUNBUFFERED  # a user's output has a buffer
 
-test: export COULOMBUS_TEST_WARM_UP := $(or $(NUMBA_CACHE_DIR),$(CURDIR)/out/warm-up)  # no test writes it: they have a copy
-test fast long: export OPENBLAS_NUM_THREADS := 1  # its threads wait busily for a processor that another test has
+# no test writes there: they have a copy
+test: export COULOMBUS_TEST_WARM_UP := $(or $(NUMBA_CACHE_DIR),$(CURDIR)/out/warm-up)
+# its threads wait busily for a processor that another test has
+test fast long: export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo test fast long check docs bench wheel constraints clean help
 .DEFAULT_GOAL := demo

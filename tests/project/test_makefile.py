@@ -1,6 +1,7 @@
 """The Makefile's own work: a set-up that was interrupted heals itself."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -36,3 +37,10 @@ def test_an_environment_that_was_cut_off_is_made_anew_and_one_that_works_is_kept
     assert "creating" not in made(tmp_path)
     assert mine.exists()
     assert (tmp_path / ".venv" / ".made").exists()
+
+
+def test_no_value_ends_with_the_spaces_before_a_comment():
+    """With them the tests' kernels were compiled in `out/warm-up`, and again in a folder whose name ended with spaces."""
+    values = [line for line in (ROOT / "Makefile").read_text().splitlines() if re.search(r"[:?]=", line)]
+    assert len(values) > 5
+    assert [line for line in values if re.search(r"[:?]=.*\S\s+#", line)] == []
