@@ -137,19 +137,24 @@ class RestPhase(_Phase):
     kind: Literal["rest"]
 
 
+TapTimes = Annotated[
+    tuple[Annotated[float, Field(ge=0)], ...],
+    Field(
+        strict=False,
+        max_length=1000,
+        description="when taps begin, from the phase's start",
+        json_schema_extra={"expected": "a list of at most 1000 numbers from 0 on, in s"},
+    ),
+]
+
+
 class HoldPhase(_Phase):
     """[[phase]] of kind "hold": a slow push below the static friction, with taps."""
 
     kind: Literal["hold"]
     push_F_s: float = Field(ge=-10, le=10, description="amplitude of the push, as a share of the mode's F_s_Nm")
     frequency_Hz: float = Field(ge=0, le=1e3, description="frequency of the push (a sine)")
-    taps_s: tuple[Annotated[float, Field(ge=0)], ...] = Field(
-        (),
-        strict=False,
-        max_length=1000,
-        description="when taps begin, from the phase's start",
-        json_schema_extra={"expected": "a list of at most 1000 numbers from 0 on, in s"},
-    )
+    taps_s: TapTimes = ()
     tap_Nm: float = Field(0.0, ge=-1e4, le=1e4, description="torque of a tap")
     tap_s: float = Field(0.01, gt=0, le=60, description="length of a tap")
 
@@ -180,13 +185,7 @@ class TipHoldPhase(_Phase):
     push_F_s: float = Field(ge=-10, le=10, description="amplitude of the push, as a share of the law's F_s_N")
     frequency_Hz: float = Field(ge=0, le=1e3, description="frequency of the push (a sine)")
     direction_rad: float = Field(0.0, ge=-100, le=100, description="direction of push and taps; 0: along x")
-    taps_s: tuple[Annotated[float, Field(ge=0)], ...] = Field(
-        (),
-        strict=False,
-        max_length=1000,
-        description="when taps begin, from the phase's start",
-        json_schema_extra={"expected": "a list of at most 1000 numbers from 0 on, in s"},
-    )
+    taps_s: TapTimes = ()
     tap_N: float = Field(0.0, ge=-1e5, le=1e5, description="force of a tap")
     tap_s: float = Field(0.01, gt=0, le=60, description="length of a tap")
 

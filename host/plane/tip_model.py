@@ -131,14 +131,14 @@ def _moving(w: LocalModelRecord, plane: PlaneHostRecord, x: float, y: float) -> 
 @kernel
 def _deliverable_share(plane: PlaneHostRecord, x: float, y: float) -> float:
     """Return the share of a force (x, y) that the motors can exert beside the law's push, 0 to 1."""
-    kept = 1.0
+    deliverable = 1.0
     for i in range(JOINTS):
         a, b = plane.pose.jacobian[0, i], plane.pose.jacobian[1, i]
         room_Nm = max(plane.control.motor_limit_Nm[i] - abs(a * plane.push_N[0] + b * plane.push_N[1]), 0.0)
         torque_Nm = abs(a * x + b * y)
         if torque_Nm > room_Nm:
-            kept = min(kept, room_Nm / torque_Nm)
-    return kept
+            deliverable = min(deliverable, room_Nm / torque_Nm)
+    return deliverable
 
 
 @kernel
@@ -152,19 +152,21 @@ def add_tip_model(w: LocalModelRecord, plane: PlaneHostRecord) -> None:
     ahead_x, ahead_y = x + plane.motion.v_m_s[0] * w.ahead_s, y + plane.motion.v_m_s[1] * w.ahead_s
     ex, ey = _elastic(w, ahead_x, ahead_y)
     dx, dy, ax, ay = _moving(w, plane, ahead_x, ahead_y)
-    kept = 0.0 if w.mode == PASSIVE else _deliverable_share(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
+    deliverable = (
+        0.0 if w.mode == PASSIVE else _deliverable_share(plane, plane.gain * (ex + ax), plane.gain * (ey + ay))
+    )
     w.psi_N[0], w.psi_N[1] = plane.gain * (ex + ax + dx), plane.gain * (ey + ay + dy)
-    w.push_N[0], w.push_N[1] = plane.gain * kept * (ex + ax), plane.gain * kept * (ey + ay)
+    w.push_N[0], w.push_N[1] = plane.gain * deliverable * (ex + ax), plane.gain * deliverable * (ey + ay)
     m = w.offered[w.taken % OFFERS]
     constant = w.share if m.parts & FIELD and field_stiffness(m) == 0.0 else 0.0
-    w.driven_N[0] = plane.gain * kept * (ax - constant * m.plane_field_N[0])
-    w.driven_N[1] = plane.gain * kept * (ay - constant * m.plane_field_N[1])
+    w.driven_N[0] = plane.gain * deliverable * (ax - constant * m.plane_field_N[0])
+    w.driven_N[1] = plane.gain * deliverable * (ay - constant * m.plane_field_N[1])
     sx, sy = _elastic(w, x, y)
-    w.elastic_N[0], w.elastic_N[1] = plane.gain * kept * sx, plane.gain * kept * sy
-    if kept > 0.0:
-        w.demand = max(w.demand, 1.0 / kept)
+    w.elastic_N[0], w.elastic_N[1] = plane.gain * deliverable * sx, plane.gain * deliverable * sy
+    if deliverable > 0.0:
+        w.demand = max(w.demand, 1.0 / deliverable)
     come_back(w, sx != 0.0 or sy != 0.0)
-    w.clipped += 1 if w.mode != PASSIVE and kept < 1.0 else 0
+    w.clipped += 1 if w.mode != PASSIVE and deliverable < 1.0 else 0
     for i in range(2):
         plane.psi_N[i] += w.psi_N[i]
         plane.push_N[i] += w.push_N[i]
