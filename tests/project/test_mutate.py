@@ -84,6 +84,25 @@ def test_a_function_that_the_module_does_not_have_is_named():
     assert Source("own.py", text, units).lacking == ["step", "Own.limited", "method", "Own"]
 
 
+LISTED = sorted({module for module, *_ in mutate.Equivalents(mutate.EQUIVALENTS).proofs})
+
+
+@pytest.mark.parametrize("name", mutate.TARGETS)
+def test_the_targets_name_functions_and_tests_that_are_there(name):
+    target = mutate.TARGETS[name]
+    assert all(mutate._file(test) for test in target.tests)
+    assert Source(name, (ROOT / name).read_text(), target.units).lacking == []
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_the_equivalents_name_lines_and_functions_that_are_there(name):
+    text = (ROOT / name).read_text()
+    listed = [key for key in mutate.Equivalents(mutate.EQUIVALENTS).proofs if key[0] == name]
+    assert {line for _, _, line, *_ in listed} <= {line.strip() for line in text.splitlines()}
+    functions = {function for _, function, *_ in listed if function}
+    assert Source(name, text, tuple(functions)).lacking == []
+
+
 def test_every_mutant_differs_and_the_source_stays():
     source = Source("own.py", TEXT)
     before = source._code("limited")
