@@ -68,6 +68,7 @@ def test_contract_of_the_time_domain(whole):
     assert len(whole["fig10"]["passive"]["stick_intervals_s"]) == 9
 
 
+@pytest.mark.thorough
 def test_contract_of_tables(whole):
     pairs = {(row["sample_rate_Hz"], row["delay_s"]) for row in whole["delay_table"]}
     assert pairs == {(r, d) for r in (250.0, 500.0, 1000.0, 2000.0, 4000.0) for d in (0.0, 0.5e-3, 1e-3, 2e-3)}

@@ -47,6 +47,7 @@ def test_our_nodes_pass(name):
     assert sum(outcome.result == "pass" for outcome in sound(name).outcomes if not outcome.case.is_additional) == 127
 
 
+@pytest.mark.thorough
 def test_a_device_that_produces_sync_from_the_start_may_refuse_1019():
     """CiA 301: 1019h changes only while 1006h is 0; the tester sets it so."""
     text = description("mr_brake").text.replace("DefaultValue=0x00000080\n", "DefaultValue=0x40000080\n", 1)

@@ -61,6 +61,7 @@ def only(outcome, *expected):
 # objects that run
 
 
+@pytest.mark.thorough
 @few
 @given(st.integers(MS, 1900 * MS), st.booleans())
 def test_an_object_that_runs_at_any_rate_is_not_accused(period_ns, settable):
@@ -148,6 +149,7 @@ def test_a_count_above_its_limit_may_be_refused_as_a_value(code, expected):
 # waits
 
 
+@pytest.mark.thorough
 @few
 @given(st.integers(0, 900))
 def test_a_device_may_take_its_time_up_to_the_time_out(delay_ms):
@@ -164,6 +166,7 @@ def test_an_nmt_command_may_take_effect_late(delay_ms):
     only(outcomes(Slave(takes=late(delay_ms * MS, NMT)), *commands), "pass")
 
 
+@pytest.mark.thorough
 @few
 @given(st.integers(0, 70))
 def test_pdos_and_sync_may_be_looked_at_late_after_a_start(delay_ms):
@@ -239,6 +242,7 @@ def _no_1011(text):
     return without(0x1011, text)
 
 
+@pytest.mark.thorough
 def test_a_device_without_restore_is_never_stored_to():
     unit = unit_of(Slave(takes=without_restore, eds=_no_1011))
     unit.learn_abilities()
@@ -306,6 +310,7 @@ def test_the_end_tells_what_stays_stored():
     assert "08000021" in report.remarks[-1]
 
 
+@pytest.mark.thorough
 @few
 @given(st.integers(1, 0xFFFFFFFF))
 def test_an_operating_time_is_left_open_and_a_wrong_default_fails(value):

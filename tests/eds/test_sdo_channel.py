@@ -210,6 +210,7 @@ def test_segments_of_uploads_that_are_lost_come_again(content, seed, lost):
     assert joined(rows) == [content]
 
 
+@pytest.mark.thorough
 @given(length=st.integers(890, 2000), seed=st.integers(0, 3), lost=losses)
 @TRANSFERS
 def test_segments_of_the_products_client_that_are_lost_come_again(length, seed, lost):
@@ -233,6 +234,7 @@ def all_transfers(content, seed):
     return bus.recorded
 
 
+@pytest.mark.thorough
 @given(content=contents, seed=st.integers(0, 3), data=st.data())
 @TRANSFERS
 def test_from_the_middle_on_nothing_is_invented(content, seed, data):

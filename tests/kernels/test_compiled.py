@@ -324,7 +324,7 @@ except Exception as error:
         pytest.param(lambda whole: whole[: len(whole) // 2], id="half"),
     ],
 )
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("ending", [pytest.param("nbi", marks=pytest.mark.thorough), "nbc"])
 def test_a_damaged_cache_is_told_and_removed(cached_kernels, spoil, ending):
     """As a power cut leaves it."""
     shutil.rmtree(cached_kernels.cache)

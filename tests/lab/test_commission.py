@@ -75,6 +75,7 @@ def test_the_friction_step_finds_the_friction_though_the_belief_is_wrong(afterno
     assert "friction" in Progress.load(session.state.folder).steps
 
 
+@pytest.mark.thorough
 def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
     _, (done,) = afternoon("friction", truth=("plant.coulomb_Nm=0.01", "plant.brake_off_state_Nm=0.05"))
     assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.06, rel=0.02)
@@ -95,11 +96,13 @@ def test_cogging_is_told_from_friction(afternoon, amplitude_Nm, periods):
     assert "Cogging by the motor's angle" in [curve.title for curve in done.outcome.curves]
 
 
+@pytest.mark.thorough
 def test_a_motor_without_cogging_has_none(afternoon):
     _, (done,) = afternoon("friction", truth=TRUTH)
     assert not [one for one in done.outcome.findings if "cogging" in one.key]
 
 
+@pytest.mark.thorough
 def test_where_the_friction_is_uneven_the_smallest_sector_is_written(afternoon, monkeypatch):
     torques = [0.20] * 4 + [0.17] + [0.22] * 3
     edges, sectors = np.linspace(-0.6, 0.6, 9), [Estimate(Nm, Nm - 0.002, Nm + 0.002) for Nm in torques]
@@ -343,6 +346,7 @@ def test_the_brakes_answer_to_a_step_is_found(afternoon):
     assert not any("told apart" in remark for remark in done.outcome.remarks)
 
 
+@pytest.mark.thorough
 def test_lags_that_are_equal_are_said_not_to_be_told_apart(afternoon):
     truth = ("plant.brake_coil_lag_s=6e-3", "plant.brake_fluid_lag_s=6e-3")
     _, (done,) = afternoon("response", truth=truth)

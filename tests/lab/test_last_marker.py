@@ -70,6 +70,7 @@ def test_export_has_markers_that_no_frame_follows(stuck, tmp_path, grid):
     assert [line for line in out.read_text().splitlines() if line.endswith(f" trip {stuck[1].trip}")]
 
 
+@pytest.mark.thorough
 def test_the_replay_of_that_trip_is_the_same(stuck):
     result = CliRunner().invoke(main, ["replay", "--host", str(stuck[0]), "--json"])
     replay = json.loads(result.stdout)

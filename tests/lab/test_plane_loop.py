@@ -66,6 +66,7 @@ def swing_m_s(k, damping_Ns_m, friction_Nm):
     return float(speed[-250:].max())
 
 
+@pytest.mark.thorough
 def test_a_springy_hand_rings_beyond_the_bound_of_the_compensated_inertia_and_within_it_does_not():
     """A friction that the host believes far too high frees the motors from the split's bound of the power."""
     assert swing_m_s(0.8, 1.1 * BOUND_NS_M, friction_Nm=1.5) < 0.01

@@ -221,7 +221,7 @@ def huge(motion, law, state):
 """
 
 
-@pytest.mark.parametrize("name", ["wrong", "huge"])
+@pytest.mark.parametrize("name", [pytest.param("wrong", marks=pytest.mark.thorough), "huge"])
 def test_a_law_of_ones_own_cannot_pass_the_limits(name, tmp_path):
     (tmp_path / "own.py").write_text(WRONG_LAW)
     circle = 'phase=[{kind = "rest", duration_s = 1.0}, {kind = "tip_circle", duration_s = 4.0, radius_m = 0.05, frequency_Hz = 0.5}]'

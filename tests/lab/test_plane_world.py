@@ -68,6 +68,7 @@ def test_the_same_world_gives_the_same_bytes_and_a_replay_renders_it_again(recor
     assert (result.difference, result.judged, result.unchecked) == (None, True, 0)
 
 
+@pytest.mark.thorough
 def test_the_recording_has_each_joints_share_and_the_fade(recorded):
     recording = read(recorded[0])
     for joint in ("shoulder", "elbow"):

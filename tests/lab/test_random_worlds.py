@@ -29,6 +29,7 @@ def test_a_random_world_gives_the_hand_nothing(seed, mode, hand):
     assert outcome.trip is None
 
 
+@pytest.mark.thorough
 def test_a_random_world_gives_the_hand_at_an_arms_tip_nothing():
     _, outcome = on_arm(1002, "active", TIP_HANDS[2])
     assert outcome.given_J < MOST_J

@@ -111,10 +111,10 @@ STEADY_PUSH = (
 @pytest.mark.parametrize(
     ("mode", "K_Nm_rad", "B_Nms_rad", "hand", "softened"),
     [
-        ("active", 60.0, 0.0, (), 0.0),
+        pytest.param("active", 60.0, 0.0, (), 0.0, marks=pytest.mark.thorough),
         pytest.param("active", 150.0, 0.1, (), 0.0, marks=pytest.mark.thorough),
         pytest.param("active", 400.0, 0.2, (), 0.2, marks=pytest.mark.thorough),
-        ("active", 3000.0, 0.0, (), 0.6),
+        pytest.param("active", 3000.0, 0.0, (), 0.6, marks=pytest.mark.thorough),
         pytest.param(
             *("active", 600.0, 0.0, ("operator.damping_Nms_rad = 0.01", "operator.inertia_kg_m2 = 1e-4"), 0.8),
             marks=pytest.mark.thorough,

@@ -318,6 +318,7 @@ def test_a_device_refuses_what_it_cannot_be():
         Bench("motor").device[0x5555, 0]
 
 
+@pytest.mark.thorough
 @beside(CORPUS)
 def test_any_readable_eds_becomes_a_live_node():
     lived = 0

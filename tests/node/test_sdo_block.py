@@ -476,7 +476,7 @@ _PIECES = tuple(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))])
 def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed, monkeypatch):
     """Random downloads: gaps, repetitions, numbers that are none, pauses over the time-out,
     lengths, other requests.

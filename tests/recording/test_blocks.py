@@ -214,6 +214,7 @@ def row_by_row(source):
         pass
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize(("work", "seconds", "chunk"), [(measure, (3, 9), SMALL), (row_by_row, (1, 2), SMALL // 4)])
 def test_the_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch, work, seconds, chunk):

@@ -198,6 +198,7 @@ def test_a_recorded_detent_is_found_though_nothing_rests_behind_the_sign_check(t
     assert found.values["period_rad"] == pytest.approx(0.5, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_inertia_and_bias_are_told_apart_from_the_law():
     one = stretch("dahl", **TRUE["dahl"])
     w1, w2 = 2 * np.pi * 1.7, 2 * np.pi * 7.1

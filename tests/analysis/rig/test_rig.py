@@ -185,6 +185,7 @@ def test_samples_in_which_the_sign_check_drives_are_not_fitted(tmp_path):
     assert found.left_out["not in the display at full gain (arming, gain ramp, after the end)"] > 1000
 
 
+@pytest.mark.thorough
 def test_more_friction_than_believed_is_identified_and_compensated():
     found = friction_study(load_rig("bench").variant("plant.coulomb_Nm=0.12"))
     assert found.coulomb_before_Nm == pytest.approx(0.20, abs=1e-3)

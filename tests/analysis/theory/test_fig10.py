@@ -86,6 +86,7 @@ def test_passive_events_against_solve_ivp():
         assert run.v_m_s[inside] == pytest.approx(v, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_passive_friction_is_in_its_set():
     run = passive_run(PAPER)
     stuck = np.zeros(len(run.t_s), bool)

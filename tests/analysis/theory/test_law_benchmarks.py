@@ -49,6 +49,7 @@ def test_every_benchmark_is_met(computed):
     assert {one.law for one in found} == {"lugre", "dahl", "gms", "elastoplastic", "kikuuwe", "bliman_sorine", "leuven"}
 
 
+@pytest.mark.thorough
 def test_a_wrong_law_misses_its_benchmark(computed):
     law = given_law("lugre", [f"{key}={value!r}" for key, value in {**CANUDAS, "F_s_Nm": 1.4}.items()])
     expected = {benchmark.what: benchmark for benchmark in computed[0]}["break-away at 1 N/s (1995, Fig. 4)"].expected

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.coverage import MEASURED, commissioned, random_rig, scores, table
 from coulombus.host.commission.motor import LOAD_SHARE
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.thorough]
 
 SEEDS = (1009, 1013)
 """Both cog, the second with a single period in a revolution: it was 1.8 % wrong where the hand held
@@ -30,13 +30,11 @@ def values(findings):
     return {finding.key or finding.name: finding for finding in findings}
 
 
-@pytest.mark.thorough
 def test_all_eight_steps_pass(results):
     assert [failures for _, _, failures in results] == [[], []]
     assert len(MEASURED) == 8
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("key", "share"),
     [
@@ -51,7 +49,6 @@ def test_a_motor_that_cogs_is_measured_right(results, key, share):
         assert values(findings)[key].new == pytest.approx(rig.figures[key], rel=share), rig.seed
 
 
-@pytest.mark.thorough
 def test_friction_that_grows_with_the_motors_torque_is_measured_apart(tmp_path):
     """Its share is of the true torque, though the rig file believes another one."""
     rig = random_rig(1010)

@@ -157,13 +157,15 @@ def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
         assert not list(CACHE_DIR.rglob("*guarded*"))
 
 
-@pytest.mark.parametrize("index", [15, -1, 0, -16])
+@pytest.mark.parametrize("index", [15, -16, *(pytest.param(index, marks=pytest.mark.thorough) for index in (-1, 0))])
 @pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
 def test_a_law_may_use_all_of_user(tmp_path, index, where):
     assert index_law(tmp_path, where, index) == 0.5
 
 
-@pytest.mark.parametrize("index", [16, 17, 40, -17, -40])
+@pytest.mark.parametrize(
+    "index", [16, -17, *(pytest.param(index, marks=pytest.mark.thorough) for index in (17, 40, -40))]
+)
 @pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
 def test_a_law_that_writes_beyond_its_records_raises_and_touches_nothing(tmp_path, index, where):
     """It wrote into the memory behind: no number is what trips."""

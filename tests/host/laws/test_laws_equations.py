@@ -139,6 +139,7 @@ def gms_by_small_steps(t, x, k, a, C, g, steps=400):
     return np.array(out)
 
 
+@pytest.mark.thorough
 def test_gms_is_its_equation_along_any_motion():
     t, x = walk(6, 200, 8e-3)
     k, w = np.array([80.0, 40.0, 20.0, 10.0]), np.array([1.0, 2.0, 3.0, 4.0])

@@ -45,7 +45,9 @@ def brought_up(world):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("again_ns", [0, 20_000, 150_000])
+@pytest.mark.parametrize(
+    "again_ns", [20_000, *(pytest.param(again_ns, marks=pytest.mark.thorough) for again_ns in (0, 150_000))]
+)
 def test_bring_up_with_any_frame_doubled_is_what_it_is(again_ns):
     plain = Doubling((), again_ns)
     assert brought_up(plain) == ()
@@ -72,7 +74,7 @@ def test_a_duplicate_on_the_wire_is_no_second_device(tmp_path, node, frame, nth)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [1.3e-4, 1e-3])
+@pytest.mark.parametrize("rate", [pytest.param(1.3e-4, marks=pytest.mark.thorough), 1e-3])
 def test_a_noisy_bus_from_power_on_is_no_reason_to_refuse(tmp_path, rate):
     """The first seeds of 300; 58 of 300 were refused at 1e-3 when each doubled frame was a second device."""
     for seed in range(15):

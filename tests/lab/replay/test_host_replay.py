@@ -66,6 +66,7 @@ def test_it_does_not_matter_how_many_are_taken_at_a_time(recorded, monkeypatch):
     assert host_replay(recorded) == whole
 
 
+@pytest.mark.thorough
 def test_frames_that_were_disturbed_in_their_last_bit_were_sent_once(tmp_path):
     """Receivers have such a frame twice, and so has the recording.
 

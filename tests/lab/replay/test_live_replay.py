@@ -159,6 +159,7 @@ def test_changes_under_a_law_of_ones_own_are_replayed(tmp_path, monkeypatch):
     assert (found.judged, found.difference, found.unchecked) == (True, None, 0)
 
 
+@pytest.mark.thorough
 def test_changes_of_both_axes_that_overlap_are_replayed(tmp_path):
     path = tmp_path / "two.pcapng"
 
