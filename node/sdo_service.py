@@ -16,10 +16,11 @@ import numpy as np
 
 from coulombus.eds.cia301 import ARRAY, RECORD, Abort
 from coulombus.eds.convert import eds_text
+from coulombus.eds.data import encode
 from coulombus.kernels.decorator import Entry
 from coulombus.node import core
 from coulombus.node.communication_objects import Communication
-from coulombus.node.dictionary import Dictionary, decode, encode
+from coulombus.node.dictionary import Dictionary, decode
 from coulombus.node.profile import Profile, SdoAbort
 from coulombus.node.record import SDO_TIMEOUT_NS, NodeRecord
 from coulombus.node.sdo_kernels import forget_segments, queue_segments
