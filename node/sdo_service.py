@@ -202,7 +202,7 @@ class SdoService:
 
     # requests
 
-    def serve(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
+    def serve(self, t_ns: int, can_id: int, length: int, word: int, out: Queue) -> None:
         """Serve a request on `can_id`."""
         row = self._node
         if length != 8:
@@ -216,12 +216,12 @@ class SdoService:
         deadline_ns = int(self._deadlines[k])
         if was_open and (t_ns > deadline_ns or deadline_ns == NEVER_NS):
             server.drop()  # the transfer had no progress: the core has aborted it, or would have now
-        if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
+        if (word >> 8 & 0xFFFF) >= _MEASURED and word & 0x60 in (0x40, 0x20):
             self._refresh(self._node, t_ns)
         access = self._access
         access.written, access.carries = False, 0
         server.unsent = self._unsent(k)
-        response = server.request(data_bytes(data, 8))
+        response = server.request(data_bytes(word, 8))
         if was_open and row["outbox_count"] and not server.again:
             forget_segments(self._node, k)  # any request cancels the queued segments
         if response is not None:
