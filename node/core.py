@@ -76,7 +76,7 @@ def on_frame(
     t_ns: int,
     can_id: int,
     length: int,
-    data: int,
+    word: int,
     out: Queue,
 ) -> int:
     """Handle a frame whose end was at `t_ns`; return 1 if Python has to serve it (SDO, LSS, the end of NMT
@@ -84,7 +84,7 @@ def on_frame(
     """
     if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
         return 0
-    return handle(n, t_ns, can_id, length, data, out)
+    return handle(n, t_ns, can_id, length, word, out)
 
 
 @kernel
@@ -93,7 +93,7 @@ def handle(
     t_ns: int,
     can_id: int,
     length: int,
-    data: int,
+    word: int,
     out: Queue,
 ) -> int:
     """Do the same as `on_frame`, for callers that are not compiled."""
@@ -109,10 +109,10 @@ def handle(
     if route == ROUTE_NONE or n.powered == 0 or t_ns < n.silent_ns:
         return 0
     if route == ROUTE_SYNC:
-        _sync(n, t_ns, length, data, out)
+        _sync(n, t_ns, length, word, out)
         return 0
     if route >= ROUTE_CONSUMER:
-        deadlines.heartbeat_received(n, route - ROUTE_CONSUMER, t_ns, length, data, out)
+        deadlines.heartbeat_received(n, route - ROUTE_CONSUMER, t_ns, length, word, out)
         return 0
     if route >= ROUTE_PDO:
         if not ALLOWED[n.nmt] & Service.PDO:
@@ -121,7 +121,7 @@ def handle(
         acted = 0
         k = route - ROUTE_PDO
         while k >= 0:
-            acted |= pdo_traffic.receive(n, k, t_ns, length, data, out)
+            acted |= pdo_traffic.receive(n, k, t_ns, length, word, out)
             k = n.rpdo_next[k]
         if acted and n.tpdo_events > 0:
             n.next_ns = min(n.next_ns, pdo_traffic.transmit_events(n, t_ns, n.next_ns, out))
@@ -130,15 +130,15 @@ def handle(
         if length < 2:
             n.dropped_length += 1
             return 0
-        addressed = data >> 8 & 0xFF
+        addressed = word >> 8 & 0xFF
         if addressed == n.node_id or addressed == _ALL_NODES:
-            return nmt_command(n, t_ns, data & 0xFF, out)
+            return nmt_command(n, t_ns, word & 0xFF, out)
         return 0
     if route == ROUTE_LSS:
         if length != 8:
             n.dropped_length += 1
             return 0
-        if not _IS_LSS_REQUEST[data & 0xFF]:
+        if not _IS_LSS_REQUEST[word & 0xFF]:
             n.dropped_unknown += 1
             return 0
         return 1
@@ -147,16 +147,16 @@ def handle(
             n.dropped_unknown += 1
         elif length == 6:
             n.time_set_ns = t_ns
-            n.time_word = data
+            n.time_word = word
         else:
             n.dropped_length += 1
         return 0
     if not ALLOWED[n.nmt] & Service.SDO:
         n.dropped_unknown += 1
         return 0
-    if n.segments_open > 0 and collect_segment(n, t_ns, can_id, length, data):
+    if n.segments_open > 0 and collect_segment(n, t_ns, can_id, length, word):
         return 0
-    return 0 if answer_upload(n, t_ns, can_id, length, data, out) else 1
+    return 0 if answer_upload(n, t_ns, can_id, length, word, out) else 1
 
 
 @inlined
@@ -189,7 +189,7 @@ def nmt_command(n: NodeRecord, t_ns: int, command: int, out: Queue) -> int:
 
 
 @kernel
-def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
+def _sync(n: NodeRecord, t_ns: int, length: int, word: int, out: Queue) -> None:
     """Handle a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs are sent."""
     if not ALLOWED[n.nmt] & Service.PDO:
         return  # SYNC matters to PDOs only
@@ -212,7 +212,7 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
         pdo_traffic.act_pending(n, t_ns, out)
     actuate(n, t_ns)
     sample(n)
-    pdo_traffic.transmit_sync(n, t_ns, data & 0xFF if length else -1, out)
+    pdo_traffic.transmit_sync(n, t_ns, word & 0xFF if length else -1, out)
     if n.tpdo_events > 0:
         n.next_ns = min(n.next_ns, pdo_traffic.transmit_events(n, t_ns, n.next_ns, out))
 

@@ -24,14 +24,14 @@ _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 
 @kernel
-def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> None:
+def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, word: int, out: Queue) -> None:
     """Process a heartbeat of consumer entry `k`; a boot-up does not count, because the producer has just
     lost its connections.
     """
     if length < 1:
         n.dropped_length += 1
         return
-    if data & 0x7F == 0:
+    if word & 0x7F == 0:
         return
     n.consumer_last_ns[k] = t_ns
     before = n.consumer_state[k]

@@ -246,18 +246,18 @@ class Device:
 
     # services
 
-    def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
+    def service(self, t_ns: int, can_id: int, length: int, word: int, out: Queue) -> None:
         """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
         self._now = t_ns
         if can_id == CobId.NMT:
-            if data & 0xFF in _RESET:
-                self.nmt_command(t_ns, data & 0xFF, out)
+            if word & 0xFF in _RESET:
+                self.nmt_command(t_ns, word & 0xFF, out)
             else:
                 self._sdo.drop()  # the core has done the rest of STOPPED
         elif can_id == CobId.LSS_RX:
-            self.lss.request(t_ns, length, data, out)
+            self.lss.request(t_ns, length, word, out)
         elif self._sdo.serves(can_id):
-            self._sdo.serve(t_ns, can_id, length, data, out)
+            self._sdo.serve(t_ns, can_id, length, word, out)
 
     def nmt_command(self, t_ns: int, command: int, out: Queue) -> None:
         """Execute an NMT command (its specifier); count an unknown command."""

@@ -1,8 +1,9 @@
-"""Object dictionary of a node: the EDS's objects and their values, as bytes for SDO, as numbers for Python.
+"""Object dictionary of a node: the EDS's objects and their values.
 
 An object that the core uses, or that a PDO maps, is in a slot of the record's `values`; every
 other object is stored here. `slot` moves an object into a slot when a PDO maps it. Access rights,
-lengths and limits are those of the EDS; a violation is a `SdoAbort` with CiA 301's code.
+lengths and limits are those of the EDS; a violation is a `SdoAbort` with CiA 301's code. `eds.data.encode`
+returns a value's bytes for SDO; `decode` returns the value of a client's bytes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from coulombus.node.profile import CoreObject, Key, SdoAbort
 from coulombus.node.record import SPARE_SLOTS
 from coulombus.node.slots import FIRST_FREE
 
-__all__ = ["Dictionary", "DictionaryState", "decode", "encode"]
+__all__ = ["Dictionary", "DictionaryState", "decode"]
 
 MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
@@ -289,19 +290,6 @@ def _raw(kind: DataType, value: Value) -> int:
 def data_type(variable: Variable) -> DataType:
     """Return the variable's data type; an unknown type counts as an octet string."""
     return DATA_TYPES.get(variable.data_type, _OCTETS)
-
-
-def encode(variable: Variable, value: Value) -> bytes:
-    """Return `value` as transferred: little endian, text without a terminating zero."""
-    kind = data_type(variable)
-    if isinstance(value, bytes):
-        return value
-    if isinstance(value, str):
-        return value.encode("utf-16-le") if kind.kind == "unicode" else value.encode("latin-1", "replace")
-    if kind.kind == "real":
-        return struct.pack("<f" if kind.bits == 32 else "<d", value or 0.0)
-    width = kind.bits or 32
-    return (int(value or 0) & ((1 << width) - 1)).to_bytes((width + 7) // 8, "little")
 
 
 def decode(variable: Variable, data: bytes) -> Value:

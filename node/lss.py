@@ -103,13 +103,13 @@ class Lss:
 
     # services
 
-    def request(self, t_ns: int, length: int, data: int, out: Queue) -> None:
+    def request(self, t_ns: int, length: int, word: int, out: Queue) -> None:
         """Serve a frame on 7E5h; drop and count a frame that is no service."""
         record = self._record
         if length != 8:
             record["dropped_length"] += 1
             return
-        content = data_bytes(data, 8)
+        content = data_bytes(word, 8)
         service = _SERVICES.get(content[0])
         if service is None:
             record["dropped_unknown"] += 1
@@ -125,8 +125,8 @@ class Lss:
             return
         if answer is not None:
             ready_ns = t_ns + int(record["processing_ns"])
-            word = data_word(answer.ljust(8, b"\0"))
-            push(out, self._record["station"], ready_ns, int(CobId.LSS_TX), 8, word)  # int: an enum is not compiled
+            response = data_word(answer.ljust(8, b"\0"))
+            push(out, self._record["station"], ready_ns, int(CobId.LSS_TX), 8, response)  # int: an enum is not compiled
         back_to_waiting = content[0] == LssService.SWITCH_STATE_GLOBAL and self.state is LssState.WAITING
         if back_to_waiting and was_unconfigured and self.pending_node_id != UNCONFIGURED:
             self._restart(t_ns, out)

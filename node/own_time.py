@@ -18,10 +18,10 @@ __all__ = ["confinement_changed", "on_frame", "on_time"]
 
 
 @inlined
-def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> int:
+def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, word: int, out: Queue) -> int:
     """Call `node.core.on_frame`, at the bus time `t_ns`."""
     first, node_ns = out.count, own_ns(n, t_ns)
-    due = core.on_frame(n, node_ns, can_id, length, data, out)
+    due = core.on_frame(n, node_ns, can_id, length, word, out)
     if n.clock_on:
         to_bus(n, out, first)
     return int(due)

@@ -65,7 +65,7 @@ def acts_at_once(n: NodeRecord, k: int) -> bool:
 
 
 @kernel
-def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> int:
+def receive(n: NodeRecord, k: int, t_ns: int, length: int, word: int, out: Queue) -> int:
     """Process the frame of RPDO `k`; return 1 if it acted at once."""
     p = n.rpdo[k]
     if length < p.length:
@@ -90,11 +90,11 @@ def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue
         if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
             n.dropped_window += 1  # after the window it acts on no SYNC, but proves that its sender is alive
             return 0
-        n.rpdo_word[k] = data
+        n.rpdo_word[k] = word
         n.rpdo_pending += 1 - n.rpdo_waits[k]
         n.rpdo_waits[k] = 1
         return 0
-    unpack(p, data, n.values)
+    unpack(p, word, n.values)
     _act(n, t_ns, k, out)
     actuate(n, t_ns)
     return 1

@@ -50,11 +50,11 @@ def _row(n: NodeRecord, key: int) -> int:
 
 
 @kernel
-def answer_upload(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> bool:
+def answer_upload(n: NodeRecord, t_ns: int, can_id: int, length: int, word: int, out: Queue) -> bool:
     """Answer the request if the table has its object; tell whether it was answered."""
-    if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != NEVER_NS:
+    if can_id != n.sdo_rx_id or length != 8 or word & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != NEVER_NS:
         return False
-    key = (data >> 8 & 0xFFFF) << 8 | data >> 24 & 0xFF
+    key = (word >> 8 & 0xFFFF) << 8 | word >> 24 & 0xFF
     row = _row(n, key)
     if row < 0:
         return False
@@ -62,7 +62,7 @@ def answer_upload(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int,
         measure(n, t_ns)
     size = n.fast_size[row]
     value = n.values[n.fast_slot[row]] & ((1 << 8 * size) - 1)
-    head = 0x43 | (4 - size) << 2 | (data & 0xFFFFFF00)
+    head = 0x43 | (4 - size) << 2 | (word & 0xFFFFFF00)
     push(out, n.station, t_ns + n.processing_ns, n.sdo_tx_id, 8, head | value << 32)
     return True
 
@@ -71,19 +71,19 @@ _LAST_OR_ABORT = 0x80
 
 
 @kernel
-def collect_segment(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int) -> bool:
+def collect_segment(n: NodeRecord, t_ns: int, can_id: int, length: int, word: int) -> bool:
     """Store the frame if it is the next segment of an open block, and not its last; tell whether it was."""
-    if length != 8 or data & _LAST_OR_ABORT:
+    if length != 8 or word & _LAST_OR_ABORT:
         return False
     for k in range(n.sdo_used):
         if n.segments_id[k] != can_id:
             continue
-        number, deadline_ns = data & 0x7F, n.sdo_deadline_ns[k]
+        number, deadline_ns = word & 0x7F, n.sdo_deadline_ns[k]
         if number != n.segments_next[k] or number >= n.segments_last[k]:
             return False
         if deadline_ns == NEVER_NS or t_ns > deadline_ns:
             return False
-        n.segments_word[k, n.segments_count[k]] = data
+        n.segments_word[k, n.segments_count[k]] = word
         n.segments_count[k] += 1
         n.segments_next[k] = number + 1
         n.sdo_deadline_ns[k] = t_ns + SDO_TIMEOUT_NS  # next_ns is not later than the old deadline

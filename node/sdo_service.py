@@ -16,10 +16,11 @@ import numpy as np
 
 from coulombus.eds.cia301 import ARRAY, RECORD, Abort
 from coulombus.eds.convert import eds_text
+from coulombus.eds.data import encode
 from coulombus.kernels.decorator import Entry
 from coulombus.node import core
 from coulombus.node.communication_objects import Communication
-from coulombus.node.dictionary import Dictionary, decode, encode
+from coulombus.node.dictionary import Dictionary, decode
 from coulombus.node.profile import Profile, SdoAbort
 from coulombus.node.record import SDO_TIMEOUT_NS, NodeRecord
 from coulombus.node.sdo_kernels import forget_segments, queue_segments
@@ -201,7 +202,7 @@ class SdoService:
 
     # requests
 
-    def serve(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
+    def serve(self, t_ns: int, can_id: int, length: int, word: int, out: Queue) -> None:
         """Serve a request on `can_id`."""
         row = self._node
         if length != 8:
@@ -215,12 +216,12 @@ class SdoService:
         deadline_ns = int(self._deadlines[k])
         if was_open and (t_ns > deadline_ns or deadline_ns == NEVER_NS):
             server.drop()  # the transfer had no progress: the core has aborted it, or would have now
-        if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
+        if (word >> 8 & 0xFFFF) >= _MEASURED and word & 0x60 in (0x40, 0x20):
             self._refresh(self._node, t_ns)
         access = self._access
         access.written, access.carries = False, 0
         server.unsent = self._unsent(k)
-        response = server.request(data_bytes(data, 8))
+        response = server.request(data_bytes(word, 8))
         if was_open and row["outbox_count"] and not server.again:
             forget_segments(self._node, k)  # any request cancels the queued segments
         if response is not None:

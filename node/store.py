@@ -20,8 +20,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.data import encode
 from coulombus.eds.regular_file import read_regular
-from coulombus.node.dictionary import Dictionary, decode, encode
+from coulombus.node.dictionary import Dictionary, decode
 from coulombus.node.profile import SdoAbort
 
 __all__ = ["LOAD", "SAVE", "FileStore", "Sections", "Store", "StoredParameters"]

@@ -100,7 +100,7 @@ arbitration_key = inlined(can_flags.arbitration_key)
 
 
 @kernel
-def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
+def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, word: int) -> None:
     """Append a frame that is ready at `t_ns`; if the queue is full, drop and count the frame."""
     count = out.count
     if count >= QUEUE_CAPACITY:
@@ -110,6 +110,6 @@ def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int
     frame.t_ns = t_ns
     frame.can_id = can_id
     frame.length = length
-    frame.word = data
+    frame.word = word
     frame.source = source
     out.count = count + 1

@@ -56,12 +56,12 @@ def phases(axes: AxisRecords) -> int:
 
 
 @kernel
-def on_frame(axes: AxisRecords, owner: Integers, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axes: AxisRecords, owner: Integers, t_ns: int, can_id: int, length: int, word: int) -> int:
     """Handle a frame; return 1 if it completes an axis' TPDOs of this cycle, 2 if the control plane needs
     it, else 0.
     """
     k = owner[can_id] if can_id <= 0x7FF else 0
-    return int(step.on_frame(axes[k], t_ns, can_id, length, data))
+    return int(step.on_frame(axes[k], t_ns, can_id, length, word))
 
 
 @kernel

@@ -113,8 +113,8 @@ class Controller:
     ----------
     axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
     law_function : the friction law as a function pointer; of a joint unused
-    declaration, parameters : the law's declaration and the values of its named parameters; None for
-        a law without named parameters. Of an arm's first joint: those of the law in the plane; of the others None
+    declaration, parameters : of the law, of an arm's first joint of the law in the plane; None for the arm's other
+        joints and a law without named parameters. If these are keys of [mode.NAME] and [law], `parameters` is None
 
     Raises
     ------
@@ -132,7 +132,7 @@ class Controller:
             self.law_function = load_law("coulomb")
             self.declaration, self.parameters = (None, None) if plane is None else (plane.declaration, plane.parameters)
         else:
-            self._load_law(axis, mode)
+            self._load_law(axis)
         self.law_state = () if self.declaration is None else self.declaration.state
         self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s
@@ -153,7 +153,7 @@ class Controller:
         constants = [constant.value for pdo in pdos for constant in pdo.constants]
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 
-    def _load_law(self, axis: Axis, mode: str) -> None:
+    def _load_law(self, axis: Axis) -> None:
         """Set the law of an axis, its declaration and its parameters."""
         if axis.law_of_recording and axis.law.function not in BUILTIN_LAWS:
             expected = f"{' or '.join(BUILTIN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
@@ -164,7 +164,7 @@ class Controller:
             raise axis.refusal("law.function", str(error)) from error
         self.law_function = loaded.pointer
         self.declaration = loaded.declaration
-        self.parameters = axis_parameters(axis, loaded.declaration, mode)
+        self.parameters = axis_parameters(axis, loaded.declaration)
 
     @property
     def records(self) -> Records:

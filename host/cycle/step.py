@@ -131,7 +131,7 @@ def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
-def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
+def _only_of_host(axis: AxisRecord, can_id: int, word: int) -> bool:
     """Return whether only the host may send such a frame during a run: a set-point (RPDO), or a request
     that writes an object of one of the axis' nodes (SDO download, block download).
 
@@ -141,13 +141,13 @@ def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
     for k in range(axis.control.rpdos):
         if axis.rpdos[k].cob_id == can_id:
             return True
-    command = data >> 5 & 7
+    command = word >> 5 & 7
     writes = command in (SDO_DOWNLOAD, SDO_BLOCK_DOWNLOAD)
     return can_id & 0x780 == CobId.SDO_RX and writes and _node(axis.control, can_id & 0x7F) >= 0
 
 
 @kernel
-def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
+def _on_emergency(h: HostRecord, k: int, length: int, word: int) -> None:
     """Handle an EMCY of node `k`.
 
     Any error code trips, whatever the frame's length. A frame without a code trips, too. Only an error
@@ -155,7 +155,7 @@ def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
     """
     if length != 8:
         h.malformed_services += 1
-    code = data & 0xFFFF
+    code = word & 0xFFFF
     if (code != 0 or length < 2) and h.emcy == Trip.NONE:
         h.emcy = Trip.EMCY_MOTOR if k == 0 else Trip.EMCY_BRAKE if k == 1 else Trip.EMCY_SENSOR
         h.emcy_code = code
@@ -181,7 +181,7 @@ def _on_heartbeat(h: HostRecord, k: int, t_ns: int, length: int, state: int) -> 
 
 
 @kernel
-def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, word: int) -> int:
     """Handle a frame from the bus.
 
     Return 1 if it completes this cycle's TPDOs, 2 if the control plane needs it, else 0.
@@ -193,7 +193,7 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
             if length != pdo.length:
                 h.malformed_pdos += 1
                 return 0
-            unpack(pdo, data, h.image)
+            unpack(pdo, word, h.image)
             h.arrived |= 1 << k
             h.tpdo_age[k] = 0
             return 1 if h.waiting and h.arrived & c.awaited == c.awaited else 0
@@ -201,7 +201,7 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
     if can_id > 0x7FF:
         h.stray_frames += 1
         return 0
-    if _only_of_host(axis, can_id, data):
+    if _only_of_host(axis, can_id, word):
         h.stray_frames += 1
         if Phase.OFF < h.phase < Phase.DONE and h.foreign_id < 0:
             h.foreign_id = can_id
@@ -210,10 +210,10 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
         return 0
     for k in range(c.nodes):
         if c.emcy_id[k] == can_id:
-            _on_emergency(h, k, length, data)
+            _on_emergency(h, k, length, word)
             return 2
     if function == CobId.HEARTBEAT:
-        return _on_heartbeat(h, _node(c, node), t_ns, length, data & 0x7F)
+        return _on_heartbeat(h, _node(c, node), t_ns, length, word & 0x7F)
     if function == CobId.SDO_TX:
         if length != 8:
             h.malformed_services += 1

@@ -280,8 +280,8 @@ class Declaration:
             numbers[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
         return numbers
 
-    def fill(self, record: LawRecord, values: Parameters) -> None:
-        """Write the parameters into a record of `LawRecord`."""
+    def fill(self, record: Record, values: Parameters) -> None:
+        """Write the parameters into a record of the kind's parameters (`LawKind.law`)."""
         for k, (name, number) in enumerate(self.numbers(values).items()):
             if self.uses_mode_keys:
                 record[FIELD_OF_MODE[name]] = number

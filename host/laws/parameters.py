@@ -23,8 +23,10 @@ from coulombus.rigs.toml_lines import read_toml
 __all__ = ["axis_parameters", "law_parameters", "set_parameters"]
 
 
-def axis_parameters(axis: Axis, law: Declaration | None, mode: str) -> Parameters | None:
-    """Return the parameters of an axis' law in a mode; None for a law without named parameters.
+def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
+    """Return the parameters in the table of an axis' law.
+
+    None for a law without named parameters, and for a law that uses the keys of [mode.NAME] and [law].
 
     The tables of other built-in laws are checked, too. A table of another user's law is not checked,
     because its declaration is unknown while the law is not loaded.
@@ -35,17 +37,7 @@ def axis_parameters(axis: Axis, law: Declaration | None, mode: str) -> Parameter
         the text names every error with ``file:line``
     """
     sections = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
-    if law is None:
-        return None
-    return _of_mode(axis, law, mode) if law.uses_mode_keys else sections[law.name]
-
-
-def _of_mode(axis: Axis, law: Declaration, mode: str) -> Parameters:
-    """Return the parameters of a law that uses the keys of the mode."""
-    section = axis.mode[mode]
-    return law.parameters(
-        **{name: getattr(section if name in type(section).model_fields else axis.law, name) for name in law.names}
-    )
+    return None if law is None or law.uses_mode_keys else sections[law.name]
 
 
 def law_parameters(

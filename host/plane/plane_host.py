@@ -86,7 +86,7 @@ def load_plane(rig: Rig, mode: str) -> PlaneModel | None:
         raise RigError([f"{rig.path}: kinematics.kind: got '{kinematics.kind}', but {error}"]) from error
     if axis.mode[mode].inertia_compensation > 0.0 and kinematics.l1_m and not any(kinematics.link_mass_kg):
         raise axis.mistake(f"mode.{mode}.inertia_compensation", "0 without kinematics.link_mass_kg: the links' masses")
-    parameters = axis_parameters(axis, law.declaration, mode)
+    parameters = axis_parameters(axis, law.declaration)
     return PlaneModel(PlaneLaw(law.name, law.function, law.declaration, parameters), mechanism)
 
 

@@ -101,7 +101,7 @@ END_PAUSE_NS = 1_000_000  # between two attempts of a frame that is repeated
 STAMP_AGE_NS = 1_000_000_000  # an older stamp means that the clock was set
 CAN_ERR_BUSOFF = 0x40
 
-# results of `take`
+# results of `receive_message`
 EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 

@@ -22,7 +22,6 @@ from coulombus.host.sdo.transfers import (
     Progress,
     SdoProtocolError,
     SdoSilent,
-    SdoStep,
     Transfer,
     abort,
     download,
@@ -105,12 +104,12 @@ class SdoSession(Generic[T]):
         self.odd_length: int | None = None
         self.error: HostError | None = None
         self.value: T | None = None
-        self._go_on(lambda: next(transfer))
+        self._go_on()
 
     def hear(self, message: bytes) -> None:
         """Handle a message of the server."""
         if self._answers.add_answer(message):
-            self._go_on(lambda: self._transfer.send(message))
+            self._go_on(message)
 
     def check_timeout(self, now_ns: int) -> None:
         """End the transfer after the server's time-out."""
@@ -118,7 +117,7 @@ class SdoSession(Generic[T]):
             return
         if again := self._answers.again:  # no other answer came, so the repeated frame was the answer
             self._answers.again = b""
-            self._go_on(lambda: self._transfer.send(again))
+            self._go_on(again)
             return
         text, stray = f"node {self._node_id} does not answer (SDO of {where(*self._place)})", self._answers.stray
         self._send(abort(*self._place, Abort.TIMEOUT))
@@ -145,16 +144,17 @@ class SdoSession(Generic[T]):
     def _place(self) -> tuple[int, int]:
         return self._object or (0, 0)
 
-    def _go_on(self, act: Callable[[], SdoStep]) -> None:
+    def _go_on(self, answer: bytes | None = None) -> None:
+        """Begin the transfer, or continue it with an answer, up to its next wait or its end."""
         try:
-            turn = act()
+            step = next(self._transfer) if answer is None else self._transfer.send(answer)
             while True:
-                for message in turn.messages:
+                for message in step.messages:
                     self._object = self._object or named(message)
-                    self._send(message, initiates=turn.initiates)
-                if turn.waits:
+                    self._send(message, initiates=step.initiates)
+                if step.waits:
                     break
-                turn = self._transfer.send(b"")
+                step = self._transfer.send(b"")
             self.deadline_ns = self._link.now_ns() + self._timeout_ns
         except StopIteration as stop:
             self.value, self.done = stop.value, True
@@ -194,36 +194,36 @@ def run_transfers(
     """
     hear = hear or answers.hear
     waiting = {node_id: iter(row) for node_id, row in transfers.items()}
-    talks: dict[int, SdoSession[T]] = {}
+    sessions: dict[int, SdoSession[T]] = {}
 
     def begin(node_id: int) -> None:
         transfer = next(waiting[node_id], None)
-        talks.pop(node_id, None)
+        sessions.pop(node_id, None)
         if transfer is not None:
-            talks[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), answers.node(node_id))
+            sessions[node_id] = SdoSession(link, node_id, transfer, round(timeout_s * 1e9), answers.node(node_id))
 
     try:
         for node_id in waiting:
             begin(node_id)
-        while talks:
-            frame = link.receive(min(talk.deadline_ns for talk in talks.values()))
+        while sessions:
+            frame = link.receive(min(session.deadline_ns for session in sessions.values()))
             if frame is not None:
-                talk = talks.get(frame.can_id - CobId.SDO_TX)
-                if talk is None:
+                session = sessions.get(frame.can_id - CobId.SDO_TX)
+                if session is None:
                     hear(frame)
                 elif frame.length == MESSAGE_BYTES:
-                    talk.hear(frame.data)
+                    session.hear(frame.data)
                 else:
-                    talk.odd_length = frame.length
+                    session.odd_length = frame.length
             now_ns = link.now_ns()
-            for node_id, talk in list(talks.items()):
-                talk.check_timeout(now_ns)
-                if talk.done:
-                    on_result(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of the two is set
+            for node_id, session in list(sessions.items()):
+                session.check_timeout(now_ns)
+                if session.done:
+                    on_result(node_id, session.error or session.value)  # type: ignore[arg-type]  # one of the two is set
                     begin(node_id)
     finally:
-        for talk in talks.values():
-            talk.leave()
+        for session in sessions.values():
+            session.leave()
 
 
 class SdoClient:

@@ -107,11 +107,9 @@ def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     builtin = BUILTIN_LAWS.get(axis.law.function.strip())
     if builtin is None:
         return ()
-    values, place = (
-        axis_parameters(axis, builtin, mode),
-        f"mode.{mode}" if builtin.uses_mode_keys else f"law.{builtin.name}",
-    )
-    return tuple(Demand(f"{place}.{key}", getattr(values, key)) for key in builtin.extremes)
+    parameters = axis_parameters(axis, builtin)
+    section, table = (axis.mode[mode], f"mode.{mode}") if parameters is None else (parameters, f"law.{builtin.name}")
+    return tuple(Demand(f"{table}.{key}", getattr(section, key)) for key in builtin.extremes)
 
 
 def law_extremes(axis: Axis, mode: str) -> list[float]:

@@ -366,22 +366,22 @@ class VirtualNetwork:
         w = self._world[0]
         frame = self._log[int(w["log_count"]) - 1]
         t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])
-        length, data, source = int(frame["length"]), int(frame["word"]), int(frame["source"])
-        self.serve(w["service"][: int(w["services"])].tolist(), t_ns, can_id, length, data)
+        length, word, source = int(frame["length"]), int(frame["word"]), int(frame["source"])
+        self.serve(w["service"][: int(w["services"])].tolist(), t_ns, can_id, length, word)
         if w["control_plane"]:
-            self._control_plane(t_ns, can_id, data_bytes(data, length))
+            self._control_plane(t_ns, can_id, data_bytes(word, length))
         if (
             w["heard"] and not wire_of(self.bus, source).half
         ):  # Python's stations are in the first half, on the first bus
-            heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
+            heard = Heard(t_ns, can_id, length, data_bytes(word, length), source)
             for station in self._stations:
                 if station.number != source and (station.can_ids is None or can_id in station.can_ids):
                     station.hear(heard)
 
-    def serve(self, rows: Collection[int], t_ns: int, can_id: int, length: int, data: int) -> None:
+    def serve(self, rows: Collection[int], t_ns: int, can_id: int, length: int, word: int) -> None:
         """Pass a frame to the services of the devices in some rows."""
         for row in rows:
-            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
+            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, word)
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         """Process a frame for the host's control plane; a network without a host has none."""

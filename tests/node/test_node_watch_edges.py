@@ -54,8 +54,8 @@ class Node:
     def expire(self, t_ns=T):
         return deadlines.expire(self.n, t_ns, self.out)
 
-    def hear(self, k, t_ns, length=1, data=5):
-        deadlines.heartbeat_received(self.n, k, t_ns, length, data, self.out)
+    def hear(self, k, t_ns, length=1, word=5):
+        deadlines.heartbeat_received(self.n, k, t_ns, length, word, self.out)
 
     def deadline(self, before=NEVER_NS):
         return deadlines.next_deadline(self.n, before)
@@ -82,12 +82,12 @@ def test_the_first_heartbeat_begins_the_watch(k):
     assert node.sent() == []
 
 
-@pytest.mark.parametrize(("length", "data", "dropped"), [(0, 5, 1), (1, 0, 0), (1, 0x80, 0), (1, 0x8000, 0)])
-def test_an_empty_frame_and_a_boot_up_are_no_heartbeat(length, data, dropped):
+@pytest.mark.parametrize(("length", "word", "dropped"), [(0, 5, 1), (1, 0, 0), (1, 0x80, 0), (1, 0x8000, 0)])
+def test_an_empty_frame_and_a_boot_up_are_no_heartbeat(length, word, dropped):
     node = Node()
     n = node.n
     n.consumer_last_ns[0], n.consumer_state[0] = 3, LOST
-    node.hear(0, T, length, data)
+    node.hear(0, T, length, word)
     assert (n.consumer_last_ns[0], n.consumer_state[0], n.dropped_length) == (3, LOST, dropped)
 
 

@@ -372,9 +372,9 @@ def count_services(bench: Bench) -> list[bytes]:
     served: list[bytes] = []
     service = bench.device.service
 
-    def counted(t_ns, can_id, length, data, out):
-        served.append(data.to_bytes(8, "little", signed=True))
-        service(t_ns, can_id, length, data, out)
+    def counted(t_ns, can_id, length, word, out):
+        served.append(word.to_bytes(8, "little", signed=True))
+        service(t_ns, can_id, length, word, out)
 
     bench.device.service = counted
     return served

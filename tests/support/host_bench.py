@@ -97,8 +97,8 @@ class HostBench:
         values[Image.BRAKE_STATUSWORD] = int(STATUSWORD[self.brake_state])
         return values
 
-    def frame(self, can_id, length, data):
-        return _on_frame(self.axis, self.t_ns, can_id, length, data)
+    def frame(self, can_id, length, word):
+        return _on_frame(self.axis, self.t_ns, can_id, length, word)
 
     def finish(self):
         law = self.k.law_function

@@ -96,8 +96,7 @@ class PlaneLaw:
         """Return the parameters for kernels, as an array of one record."""
         record = new_records(PlaneLawRecord)
         if self.declaration is not None and self.parameters is not None:
-            for k, number in enumerate(self.declaration.numbers(self.parameters).values()):
-                record[0]["user"][k] = number
+            self.declaration.fill(record[0], self.parameters)
         return record
 
     def along(

@@ -294,10 +294,10 @@ def test_a_pdo_of_the_wrong_length_is_dropped_and_counted(can_id, length):
 
 
 @given(st.integers(0x300, 0xFFFFFFFF), st.integers(0, 8), st.integers(-(2**63), 2**63 - 1))
-def test_unknown_identifiers_do_nothing(can_id, length, data):
+def test_unknown_identifiers_do_nothing(can_id, length, word):
     bench = UNKNOWN
     image, phase = bench.h.image.copy(), bench.phase
-    bench.frame(can_id, length, data) if can_id & 0x7FF not in (0x701, 0x702) else None
+    bench.frame(can_id, length, word) if can_id & 0x7FF not in (0x701, 0x702) else None
     assert np.array_equal(image, bench.h.image)
     assert bench.phase is phase
     assert bench.h.emcy == 0
