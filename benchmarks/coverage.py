@@ -202,7 +202,7 @@ def commissioned(drawn: RandomRig, folder: Path, steps: Sequence[str] = MEASURED
     path.write_text(packaged_rig("bench").read_text())
     truth = load_rig("bench", drawn.truth)
     measured = Given(weight_Nm=WEIGHT_NM, marks_rad=MARKS_RAD)
-    session = Session(path, _runner(drawn, truth), measured, lambda: "2026-11-22T14:03:05Z", drawn.believed)
+    session = Session(path, _runner(drawn, truth), measured, drawn.believed, now=lambda: "2026-11-22T14:03:05Z")
     by_name = {step.name: step for step in STEPS}
     findings: list[Finding] = []
     failures: list[str] = []

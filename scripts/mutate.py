@@ -77,7 +77,7 @@ TARGETS = {
     "host/cycle/hand_over.py": Target(("test_hand_over", "test_safety")),
     "host/cycle/study_delay.py": Target(("test_study_delay",)),
     "host/cycle/telemetry.py": Target(("test_telemetry",)),
-    "host/cycle/brake_hysteresis.py": Target(("test_brake_hysteresis",)),
+    "host/cycle/brake_model.py": Target(("test_brake_model",), ("seen_by_fluid", "coil_for", "magnetise")),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/wall.py": Target(("test_law_edges",), ("wall",)),

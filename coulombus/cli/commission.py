@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -191,7 +190,7 @@ def commission(
         load(str(path.resolve()), overrides)
         run = rehearsal.runner(rig.axis) if rehearsal.virtual else _real(rig.bus_name, as_json)
         values = Given(weighed.weight_Nm, weighed.marks_rad, weighed.marks_reach_rad, weighed.weight_reach_Nm)
-        session = Session(path, run, values, _now, overrides, rig.axis)
+        session = Session(path, run, values, overrides, rig.axis)
         done = _commission(session, steps, doing, Paper(report, operator))
         asked_for_what_lacks = bool(doing.names) and any(result.what == "lacking" for result in done)
         with verdict(1 if asked_for_what_lacks else 0):
@@ -241,10 +240,6 @@ def _commission(session: Session, steps: tuple[Step, ...], doing: StepOptions, p
         if result.what == "done":
             _report(session, paper)
     return done
-
-
-def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _real(bus_name: str | None, as_json: bool) -> Runner:

@@ -61,7 +61,7 @@ def demo(options: DemoOptions, as_json: JsonOption) -> None:
         return
     rig_name, out = options.rig_name, options.out
     with errors():
-        from coulombus.lab.demo.demo import DEMO_MODES, TITLES, as_dict, displays, run_demo
+        from coulombus.lab.demo.demo import DEMO_MODES, TITLES, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.reading import blocks
 
@@ -80,7 +80,7 @@ def demo(options: DemoOptions, as_json: JsonOption) -> None:
         figure_14(columns, out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:
-                print_json(as_dict(result))
+                print_json(result.as_dict())
             else:
                 print_runs(result.results)
                 echo()

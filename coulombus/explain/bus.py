@@ -16,11 +16,12 @@ from coulombus.eds.description import Description
 from coulombus.eds.own_devices import is_another
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.clues import Clues
-from coulombus.explain.frames import NEVER, REMOTE, SYNC, Block, Frames
+from coulombus.explain.frames import REMOTE, SYNC, Block, Frames
 from coulombus.explain.incident_words import OF_AXES
 from coulombus.explain.seen_node import SeenNode
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.seen_maps import SEEN, Map, identified, maps_of, maps_of_rig
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["Bus", "Order", "Silence", "product"]
 
@@ -73,7 +74,7 @@ class Silence:
     """A silence of the host: from when it is missed, until it is back [ns]."""
 
     due_ns: int
-    back_ns: int = NEVER
+    back_ns: int = NEVER_NS
 
 
 class Bus:
@@ -121,13 +122,13 @@ class Bus:
         """Number of a node's axes in Operation Enabled, from each time [ns] of a change."""
         self.sync_period_ns = 0
         """Period of SYNC [ns]; 0 until it is learned."""
-        self.sync_since_ns = NEVER
+        self.sync_since_ns = NEVER_NS
         """The SYNC [ns] with which its period was learned."""
         self.sync_written = False
         """Whether a write of 1006h, which the next start of a node may put into force, was seen."""
         self.sync_ns = -1
         """The last SYNC [ns] of the blocks before."""
-        self.sync_off_ns = -NEVER
+        self.sync_off_ns = -NEVER_NS
         """The last time [ns] at which its producer was told to end SYNC (1005h)."""
         self.pdo_ends: dict[int, tuple[int, str]] = {}
         """By identifier, the last write that ends a PDO: time [ns] and text."""
@@ -293,7 +294,7 @@ class Bus:
 
     def pdo_end(self, key: int, begin_ns: int, until_ns: int, text: str) -> tuple[str, str]:
         """Return the text of a PDO's stop and who made it, by the write that ends it; "" for the kind's culprit."""
-        t_ns, write = self.pdo_ends.get(key, (-NEVER, ""))
+        t_ns, write = self.pdo_ends.get(key, (-NEVER_NS, ""))
         is_written = begin_ns - WRITTEN_NS <= t_ns <= until_ns
         return (f"{text}: {write}", "client") if is_written else (text, "")
 

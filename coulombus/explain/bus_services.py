@@ -5,7 +5,8 @@ from __future__ import annotations
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia305 import LSS_RESULTS, LssService, lss_result
 from coulombus.explain.bus import PDOS, Bus
-from coulombus.explain.frames import NEVER, SYNC, Block
+from coulombus.explain.frames import SYNC, Block
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Services"]
@@ -25,7 +26,7 @@ class Services:
         self._times: list[int] = []  # the last stamps of TIME
         self._row = -1
         self._period_ns = 0
-        self._due_ns = NEVER  # time at which a bus without PDO is one
+        self._due_ns = NEVER_NS  # time at which a bus without PDO is one
 
     def add_frames(self, block: Block) -> None:
         """Process a block."""

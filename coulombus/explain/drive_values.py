@@ -10,8 +10,9 @@ import numpy.typing as npt
 from coulombus.eds.cia402 import INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.sdo_frames import where
 from coulombus.explain.bus import Bus
-from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
+from coulombus.explain.frames import SYNC, Block, Frames, Integers
 from coulombus.recording.maps.seen_maps import Field, Map
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["DriveValues"]
 
@@ -131,7 +132,7 @@ class DriveValues:
         if self.clues.stands("runs_on", node, subject):
             silence = self.bus.silences[-1]
             behind = np.flatnonzero((state != PowerState.OPERATION_ENABLED) & (group.t_ns > silence.due_ns + RUNS_NS))
-            ended_ns = int(group.t_ns[behind[0]]) if len(behind) else NEVER
+            ended_ns = int(group.t_ns[behind[0]]) if len(behind) else NEVER_NS
             if silence.back_ns < ended_ns:
                 self.clues.end("runs_on", node, silence.back_ns, "the host is back", subject=subject)
             elif len(behind):

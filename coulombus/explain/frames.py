@@ -14,15 +14,13 @@ from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
 from coulombus.wire.frame import Records
 
-__all__ = ["BLOCK", "NEVER", "SYNC", "Block", "Frames", "Integers", "Rolling"]
+__all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Rolling"]
 
 Integers = npt.NDArray[np.int64]
 
 BLOCK = 1 << 16
 """Maximum frames of a block: 2.6 MB."""
 SYNC = int(CobId.SYNC)
-NEVER = 1 << 62
-"""A time [ns] that no log reaches; its negative is before every log."""
 REMOTE, EXTENDED, ERROR = 0x2000, 0x4000, 0x8000
 """Bits of a group's key above the 11 bits of a base identifier."""
 

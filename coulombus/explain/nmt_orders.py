@@ -8,7 +8,8 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import Bus, Order
-from coulombus.explain.frames import NEVER, Block, Frames, Integers
+from coulombus.explain.frames import Block, Frames, Integers
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["Orders"]
 
@@ -70,11 +71,11 @@ class Orders:
         """Note a node that gets set-points, and that no command starts while others are started."""
         node = self.bus.nodes.get(number)
         started_ns = next(
-            (o.t_ns for o in self.bus.orders if o.command == NmtCommand.START and not o.concerns(number)), NEVER
+            (o.t_ns for o in self.bus.orders if o.command == NmtCommand.START and not o.concerns(number)), NEVER_NS
         )
         if node is None or self.clues.stands("not_started", number):
             return
-        for (since_ns, state), (until_ns, _) in pairwise([*node.states, (NEVER, -1)]):
+        for (since_ns, state), (until_ns, _) in pairwise([*node.states, (NEVER_NS, -1)]):
             due_ns = min(max(since_ns, started_ns) + FORGOTTEN_NS, since_ns + UNSTARTED_NS)
             place = int(t_ns.searchsorted(due_ns))
             if state != NmtState.PRE_OPERATIONAL or place == len(t_ns) or t_ns[place] > until_ns:

@@ -7,8 +7,9 @@ from coulombus.eds.cia305 import LssService
 from coulombus.explain.bus import EMCY, HEARTBEAT, NMT, Bus, Order, Silence
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import error_check, error_text
-from coulombus.explain.frames import NEVER, REMOTE, Block
+from coulombus.explain.frames import REMOTE, Block
 from coulombus.explain.seen_node import SeenNode
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["Nodes"]
@@ -58,7 +59,7 @@ class Nodes:
         self._returns: dict[int, int] = {}  # time of the first frame of a lost node
         self._waived: set[int] = set()  # nodes from which nothing is due: its absence is noted, or in order
         self._ids: dict[int, int] = {}  # node ids that LSS gave, and when
-        self._next_ns = NEVER  # nothing is overdue before
+        self._next_ns = NEVER_NS  # nothing is overdue before
 
     def frame(self, block: Block, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a frame of NMT, heartbeat, guarding or EMCY."""
@@ -102,8 +103,8 @@ class Nodes:
         for key, group in block.groups.items() if block is not None and clue.end_ns is None else ():
             place = int(group.t_ns.searchsorted(clue.due_ns, "right"))
             if place < len(group) and key & 0x780 != HEARTBEAT and self.bus.sender(key) == number:
-                self._returns[number] = min(self._returns.get(number, NEVER), int(group.t_ns[place]))
-        self._next_ns = min(self._next_ns, self._returns.get(number, NEVER))
+                self._returns[number] = min(self._returns.get(number, NEVER_NS), int(group.t_ns[place]))
+        self._next_ns = min(self._next_ns, self._returns.get(number, NEVER_NS))
 
     def _return(self, number: int, t_ns: int) -> None:
         """End a loss: a frame came that is no heartbeat."""
@@ -130,18 +131,18 @@ class Nodes:
 
     def _earliest_ns(self) -> int:
         """Return the time at which the first of all nodes counts as lost."""
-        return min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER)
+        return min((self._due_ns(node) for node in self.bus.nodes.values()), default=NEVER_NS)
 
     def _due_ns(self, node: SeenNode) -> int:
         """Return the time at which a node counts as lost if no frame of it comes before."""
         if node.number in self._returns or node.number in self._waived:
-            return self._returns.get(node.number, NEVER)
+            return self._returns.get(node.number, NEVER_NS)
         if node.reset_ns >= 0:
             return node.reset_ns + BOOT_NS
         if node.program_starts:
             return node.program_ns + START_NS
         if node.number in self._toggles or node.heartbeat_ns < 0 or not node.period_ns:
-            return NEVER
+            return NEVER_NS
         return node.heartbeat_ns + round(LOST * node.period_ns)
 
     def _expect(self, node: SeenNode) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtState
 from coulombus.explain.bus import EMCY, NMT, PDOS, SDO_TX, Bus
-from coulombus.explain.frames import NEVER, SYNC, Block, Frames, Integers
+from coulombus.explain.frames import SYNC, Block, Frames, Integers
 from coulombus.explain.sync_intervals import ENDING_NS, EQUAL, MS, NONE, STEADY, Flags, SeenPdo, SyncIntervals
 from coulombus.recording.maps.seen_maps import Map
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["PdoTimers", "PdoTiming"]
 
@@ -42,7 +43,7 @@ class PdoTiming:
         self.bus, self.clues = bus, bus.clues
         self._pdos: dict[int, SeenPdo] = {}
         self._sync_ns = -1  # the last SYNC
-        self._raw_ns = -NEVER  # the same, if it followed too soon, too
+        self._raw_ns = -NEVER_NS  # the same, if it followed too soon, too
         self._since_ns = bus.sync_since_ns  # with which its period was learned
         self._intervals = SyncIntervals(bus)
 

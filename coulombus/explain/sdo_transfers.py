@@ -17,8 +17,8 @@ from coulombus.eds.sdo_joining import are_wrong
 from coulombus.explain.bus import SDO_RX, Bus
 from coulombus.explain.clues import Clue
 from coulombus.explain.device_errors import ABORT_CHECKS
-from coulombus.explain.frames import NEVER
 from coulombus.explain.written_objects import WrittenObjects, number_text
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.data_word import data_bytes
 
 __all__ = ["SdoTransfers"]
@@ -113,7 +113,7 @@ class SdoTransfers:
     def __init__(self, bus: Bus) -> None:
         self.bus, self.clues, self._objects = bus, bus.clues, WrittenObjects(bus)
         self._servers: dict[int, _Server] = {}
-        self._next_ns = NEVER  # nothing is overdue before
+        self._next_ns = NEVER_NS  # nothing is overdue before
 
     def frame(self, row: int, t_ns: int, key: int, word: int, length: int) -> None:
         """Process a request or a response."""
@@ -149,7 +149,7 @@ class SdoTransfers:
         """Note responses overdue at a time."""
         if t_ns <= self._next_ns:
             return
-        self._next_ns = NEVER
+        self._next_ns = NEVER_NS
         for number, server in self._servers.items():
             for request in list(server.waiting):
                 due_ns = self._due_ns(number, request, t_ns)

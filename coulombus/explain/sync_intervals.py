@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from coulombus.explain.bus import Bus
 from coulombus.explain.clues import Clue
-from coulombus.explain.frames import NEVER, Frames, Integers, Rolling
+from coulombus.explain.frames import Frames, Integers, Rolling
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["EQUAL", "MS", "NONE", "STEADY", "Flags", "SeenPdo", "SyncIntervals"]
 
@@ -69,7 +70,7 @@ class SeenPdo:
     streak: int = 0  # successive intervals with one frame
     regular: bool = False
     spans: list[list[int]] = field(default_factory=list)  # times of this block within which it is regular
-    followed_ns: int = NEVER  # since then it was regular at any time
+    followed_ns: int = NEVER_NS  # since then it was regular at any time
     empty: _Empty | None = None
     missing_ns: int = -1  # time since which it is missing
     missing: int = 0
@@ -79,7 +80,7 @@ class SeenPdo:
     latencies: Integers = field(default_factory=lambda: NONE)  # the last times after SYNC
     learned: list[float] = field(default_factory=list)
     usual_ns: float = -1.0  # usual time after SYNC
-    crossed_ns: int = NEVER  # its time after SYNC went through a whole period then: a timer sends it
+    crossed_ns: int = NEVER_NS  # its time after SYNC went through a whole period then: a timer sends it
     empties: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     differing: Rolling = field(default_factory=lambda: Rolling(WINDOW))
     late: Rolling = field(default_factory=lambda: Rolling(WINDOW))
@@ -127,7 +128,7 @@ class SyncIntervals:
 
     def add_pdo(self, pdo: SeenPdo, group: Frames, stamps: Integers, edges: Integers, equal: Flags) -> None:
         """Count a PDO's frames in each SYNC interval that is complete; `stamps` begins with its frame before this block."""
-        pdo.spans = [[-1, NEVER]] if pdo.regular else []
+        pdo.spans = [[-1, NEVER_NS]] if pdo.regular else []
         place = np.searchsorted(edges, group.t_ns, "right") - 1
         intervals = len(edges) - 1
         counts = np.bincount(place[place >= 0], minlength=intervals + 1)
@@ -187,7 +188,7 @@ class SyncIntervals:
                     shown = self._regular_from(pdo, frames, start, end)
                     pdo.regular = shown < end
                     if pdo.regular:
-                        pdo.spans.append([int(edges[shown + 1]), NEVER])
+                        pdo.spans.append([int(edges[shown + 1]), NEVER_NS])
                         pdo.followed_ns = min(pdo.followed_ns, int(edges[shown + 1]))
                 continue
             pdo.streak = 0
@@ -318,7 +319,7 @@ class SyncIntervals:
 
     def _cross(self, pdo: SeenPdo, group: Frames, frames: _Placed) -> None:
         """Note that a PDO comes before SYNC and then after it, or the other way round."""
-        change = np.abs(np.diff(frames.latency, prepend=pdo.latencies[-1] if len(pdo.latencies) else NEVER))
+        change = np.abs(np.diff(frames.latency, prepend=pdo.latencies[-1] if len(pdo.latencies) else NEVER_NS))
         crossed = group.t_ns[(change > CROSSED * self.bus.sync_period_ns) & (change < self.bus.sync_period_ns)]
         pdo.crossed_ns = min([pdo.crossed_ns, *crossed[:1].tolist()])
 
@@ -328,7 +329,7 @@ class SyncIntervals:
         for begin, end in pdo.spans:
             inside = np.flatnonzero(usable & (group.t_ns >= begin) & (group.t_ns < end))
             self._late(pdo, group, inside, frames.latency[inside].astype(float))
-            if end < NEVER:
+            if end < NEVER_NS:
                 pdo.usual_ns, pdo.learned = -1.0, []
 
     def _late(self, pdo: SeenPdo, group: Frames, places: Integers, latency: npt.NDArray[np.float64]) -> None:

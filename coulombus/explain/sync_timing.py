@@ -9,7 +9,8 @@ import numpy as np
 from coulombus.eds.cia301 import NmtCommand, NmtState
 from coulombus.explain.bus import Bus
 from coulombus.explain.clues import Clue
-from coulombus.explain.frames import NEVER, SYNC, Block, Integers, Rolling
+from coulombus.explain.frames import SYNC, Block, Integers, Rolling
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["SyncTiming"]
 
@@ -52,7 +53,7 @@ class SyncTiming:
 
     def _forget(self) -> None:
         """Begin to learn the period."""
-        self.bus.sync_period_ns, self.bus.sync_since_ns, self.bus.relearn_sync = 0, NEVER, False
+        self.bus.sync_period_ns, self.bus.sync_since_ns, self.bus.relearn_sync = 0, NEVER_NS, False
         self._learned: list[int] = []
         self._stop: _SyncStop | None = None  # since the last SYNC
         self._uneven = Rolling(WINDOW)
@@ -223,7 +224,7 @@ class SyncTiming:
             if len(ahead) and i >= ahead[0]:
                 text = f"SYNC comes more than once within its period of {period / MS:g} ms: two nodes produce it"
                 if not self.clues.stands("two_sync", None):
-                    self.bus.two_sync.append((int(stamps[ahead[0]]), NEVER))
+                    self.bus.two_sync.append((int(stamps[ahead[0]]), NEVER_NS))
                     self._doubled.append(self._close[0])
                     early = [c for c in self.clues.all if c.kind == "sync_jitter" and c.begin_ns >= self._close[0]]
                     self.clues.retract(early)

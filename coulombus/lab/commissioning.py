@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +85,7 @@ def commission(
     if unknown := [name for name in steps if name not in names]:
         raise CommissionError(f"steps={unknown[0]!r}: expected one of {', '.join(names)}")
     file = Path(path_text(path, "path", 'commission("my-rig.toml")'))
-    session = Session(file, rehearsed(truth, seed=seed, progress=progress), given or Given(), _now)
+    session = Session(file, rehearsed(truth, seed=seed, progress=progress), given or Given())
     ends = []
     for step in STEPS:
         if not steps or step.name in steps:
@@ -121,7 +120,3 @@ def rehearsed(truth: Rig | None, *, seed: int = 0, progress: Callable[[float], N
         )
 
     return run
-
-
-def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

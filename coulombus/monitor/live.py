@@ -26,8 +26,10 @@ from coulombus.monitor.snapshot import Event, NodeRow, PdoRow, Snapshot, Value
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.maps.log_maps import LogMaps
 from coulombus.rigs.signals import RigPdo
+from coulombus.wire.bits import worst_case_bits
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.error_frames import BUS_OFF, error_frame
 from coulombus.wire.frame_batches import Block
 
@@ -35,14 +37,13 @@ __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of
 
 WINDOW_NS = 1_000_000_000
 SYNC_SILENT_NS = 100_000_000
-NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 """Services that reveal a node outside the rig."""
 SENT_BY_NODES = (*CALLS, *TPDOS)
 """Services sent by nodes, including the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
-BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
-"""Bits of a frame by its bytes with the worst stuffing, like `wire.bits.worst_case_bits`, which would load numba."""
+BITS = np.array([worst_case_bits(n) for n in range(9)])
+"""Bits of a frame by its bytes, with the worst stuffing."""
 TOGETHER = 20_000
 """Maximum number of pending frames."""
 

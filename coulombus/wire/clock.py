@@ -18,7 +18,7 @@ __all__ = ["NEVER_NS", "Clock", "bus_ns", "own_ns", "set_clock", "to_bus"]
 
 NS = 1_000_000_000
 NEVER_NS = 1 << 62
-"""A time that never comes, on every clock."""
+"""A time that never comes, on every clock; its negative is before every time."""
 
 
 class Clock(Record):

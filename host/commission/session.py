@@ -19,6 +19,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -115,6 +116,10 @@ class StepEnd:
         }
 
 
+def _utc_now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
 class Session:
     """The commissioning of one rig file.
 
@@ -123,9 +128,9 @@ class Session:
     path : path of the rig file, which is written
     run : runs an exercise
     given : the operator's inputs
-    now : returns date and time as text, "2026-11-22T14:03:05Z"
     overrides : ``SECTION.KEY=VALUE``, for this session alone
     axis : name of an axis, for a rig file with named axes; findings are written below ``[axis.NAME]``
+    now : returns date and time as text, "2026-11-22T14:03:05Z"; the computer's by default
 
     Raises
     ------
@@ -140,9 +145,10 @@ class Session:
         path: Path,
         run: Runner,
         inputs: Given,
-        now: Callable[[], str],
         overrides: Sequence[str] = (),
         axis: str | None = None,
+        *,
+        now: Callable[[], str] = _utc_now,
     ) -> None:
         self.path, self.run, self.given, self.now = path, run, inputs, now
         self.overrides, self.axis = tuple(overrides), axis

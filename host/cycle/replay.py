@@ -36,12 +36,11 @@ from coulombus.host.cycle.parameter_changes import ParameterOrder
 from coulombus.host.cycle.records import Trip
 from coulombus.host.world.recorded import place
 from coulombus.recording.trace import EVENT, Event, Moment
-from coulombus.wire.clock import Clock, bus_ns, own_ns, set_clock
+from coulombus.wire.clock import NEVER_NS, Clock, bus_ns, own_ns, set_clock
 from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
 
 __all__ = ["HostFrame", "Inputs", "replay"]
 
-FOREVER_NS = 1 << 62
 AHEAD = 4096
 """Number of frames and rows that are read from their arrays at a time."""
 
@@ -114,10 +113,10 @@ class _Replay:
         self.ahead: list[tuple[int, ...]] = []
 
     def _next(self) -> tuple[int, ...]:
-        """Return the next frame; after the last one, a frame at FOREVER_NS."""
+        """Return the next frame; after the last one, a frame at NEVER_NS."""
         if not 0 <= self.row - self.first < len(self.ahead):
             self.first = self.row
-            self.ahead = self.frames[self.row : self.row + AHEAD].tolist() or [(FOREVER_NS, 0, 0, 0)]
+            self.ahead = self.frames[self.row : self.row + AHEAD].tolist() or [(NEVER_NS, 0, 0, 0)]
         return self.ahead[self.row - self.first]
 
     def _feed(self) -> int:
@@ -128,7 +127,7 @@ class _Replay:
             return 0
         return int(axes.on_frame(self.axes, self.k.owner, int(own_ns(self.clock, frame[0])), *frame[1:]))
 
-    def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[HostFrame]:
+    def _sent(self, cycle: int, until_ns: int = NEVER_NS, refusable: int = 0) -> Iterator[HostFrame]:
         count = int(self.out["count"])
         if count == 0:
             return
@@ -187,11 +186,11 @@ class _Replay:
         the host.
         """
         running = False
-        for t_ns, received, next_ns, kind, value in (*events.tolist(), (0, FOREVER_NS, FOREVER_NS, None, 0)):
+        for t_ns, received, next_ns, kind, value in (*events.tolist(), (0, NEVER_NS, NEVER_NS, None, 0)):
             while self.row < received or (running and int(self.host["next_ns"].min()) < next_ns):
                 arrives_ns = self._next()[0]
-                due_ns = int(bus_ns(self.clock, int(self.host["next_ns"].min()))) if running else FOREVER_NS
-                if min(arrives_ns, due_ns) == FOREVER_NS:
+                due_ns = int(bus_ns(self.clock, int(self.host["next_ns"].min()))) if running else NEVER_NS
+                if min(arrives_ns, due_ns) == NEVER_NS:
                     return  # the recording has ended
                 now_ns = int(own_ns(self.clock, min(arrives_ns, due_ns)))
                 if due_ns < arrives_ns:
@@ -221,7 +220,7 @@ def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:
     cycles = np.flatnonzero(np.isin(trace["kind"], (Moment.BEGIN, Moment.END)))
     following = np.searchsorted(cycles, np.arange(len(trace)), "right")
     columns = [trace[name] for name in ("t_ns", "received", "kind", "value", "refused")]
-    columns.append(np.append(trace["t_ns"][cycles], FOREVER_NS)[following])
+    columns.append(np.append(trace["t_ns"][cycles], NEVER_NS)[following])
     columns.append(np.append(trace["refused"][cycles], trace["refused"][-1:])[following])
     for first in range(0, len(trace), AHEAD):
         yield from zip(*(column[first : first + AHEAD].tolist() for column in columns), strict=True)

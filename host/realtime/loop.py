@@ -7,6 +7,9 @@ t_k are absolute times of CLOCK_MONOTONIC. Missed periods are skipped and counte
 loop logs every frame, its own and received ones, into a ring that the parent reads
 (`host.realtime.log_rings`). In every case it sends set-points of zero torque last.
 
+With a world outside, the law takes the newest local model of each axis, and the state of each axis goes out
+after the cycle. A world never delays the cycle.
+
 The loop also monitors its parent. A parent that has ended, or has not reported in time
 (`PLANE.parent_ns`), is a reason for the safe state (HOST). After the parent's end the loop ends when all
 axes are done.
@@ -16,13 +19,14 @@ for the TPDOs of all. Only the safe set-points after the last cycle are repeated
 `END_ATTEMPTS` ms, because nothing follows them.
 
     b : the Buffers        p : the `PlaneRecord`        c, h : the `ControlRecord` and the `HostRecord` of an axis
-    f : a frame            k : the number of an axis, or of a bus
+    f : a frame        k : the number of an axis, or of a bus        w : the `LocalModelRecord` of an axis
 """
 
 from __future__ import annotations
 
 from coulombus.host.cycle.axes import WINDOW_OPEN, WINDOW_OVER, begin, finish, ramps_a_brake, safe_setpoints
-from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
+from coulombus.host.cycle.display_state import describe
+from coulombus.host.cycle.records import AXIS, AxisRecords, LawFunction, Phase, PlaneFunctions, Trip
 from coulombus.host.cycle.telemetry import write_axis
 from coulombus.host.realtime.bus_sockets import (
     COMPLETE,
@@ -39,27 +43,33 @@ from coulombus.host.realtime.bus_sockets import (
 )
 from coulombus.host.realtime.log_rings import log_frame, log_moment
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, field_offset
-from coulombus.host.realtime.world_link import take_models, tell_world
+from coulombus.host.world.recorded import AXIS_BITS, KEY_MASK
+from coulombus.host.world.records import StateRecord, offset_of
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import (
     CLOCK_THREAD_CPUTIME_ID,
     EINTR,
+    MSG_DONTWAIT,
+    MSG_NOSIGNAL,
     clock_ns,
     getppid,
     load_acquire,
     now_ns,
     ppoll_ns,
+    send,
     sleep_until,
     store_release,
 )
-from coulombus.kernels.records import Integers
-from coulombus.recording.trace import Moment
+from coulombus.kernels.records import Integers, RecordArray
+from coulombus.recording.trace import Moment, TraceRow
 
 __all__ = ["run_plane"]
 
 AT_COMMAND, AT_STATUS, AT_STOP = field_offset("command"), field_offset("status"), field_offset("stop")
 AT_CYCLES, AT_PARENT, AT_ORDER = field_offset("cycles"), field_offset("parent_ns"), field_offset("order")
 AT_DEADMAN = field_offset("deadman_ns")
+AXIS_SIZE = AXIS.itemsize
+AT_PUBLISHED = offset_of(AXIS, "world", "published")
 
 LISTEN_NS = 5_000_000  # period of the check for commands while listening
 END_ATTEMPTS = 20  # for the last set-points, which no cycle repeats
@@ -131,6 +141,30 @@ def _obey(b: Buffers) -> None:
 
 
 @kernel
+def _tell_world(fd: int, state: RecordArray[StateRecord], axes: AxisRecords, done_ns: int) -> None:
+    """Send the state of each axis after a cycle to the socket `fd` (-1: none); without room it is lost there.
+
+    `state` is one record for the states, one after the other.
+    """
+    for k in range(axes.shape[0] if fd >= 0 else 0):
+        describe(axes, k, done_ns, state[0])
+        send(fd, state.ctypes.data, state.itemsize, MSG_DONTWAIT | MSG_NOSIGNAL)
+
+
+@kernel
+def _take_models(plane: RecordArray[PlaneRecord], trace: RecordArray[TraceRow], axes: AxisRecords) -> None:
+    """Let the law take the newest model of each axis: also one that came after the cycle had begun."""
+    for k in range(axes.shape[0]):
+        w = axes[k].world
+        if w.on == 0:
+            continue
+        number = load_acquire(axes.ctypes.data + k * AXIS_SIZE + AT_PUBLISHED)
+        if number != w.wanted:
+            w.wanted = number
+            log_moment(plane, trace, Moment.MODEL, now_ns(), (number << AXIS_BITS | k) & KEY_MASK)
+
+
+@kernel
 def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, end_ns: int) -> int:
     """Receive until all axes have finished their cycle, or until the window for TPDOs is over.
 
@@ -156,7 +190,7 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
             if result == GONE:
                 return 1
             if result == COMPLETE:
-                take_models(b.plane, b.trace, axes)
+                _take_models(b.plane, b.trace, axes)
                 now = now_ns()
                 log_moment(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
                 waiting = finish(axes, law_function, now, WINDOW_OPEN, b.out, arm)
@@ -164,7 +198,7 @@ def _collect(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None, 
                     return 1
         if waiting == 0:
             break
-    take_models(b.plane, b.trace, axes)
+    _take_models(b.plane, b.trace, axes)
     now = now_ns()
     log_moment(b.plane, b.trace, Moment.WINDOW, now, p.asked)
     finish(axes, law_function, now, WINDOW_OVER, b.out, arm)
@@ -226,7 +260,7 @@ def _cycle(b: Buffers, law_function: LawFunction, arm: PlaneFunctions | None) ->
         if _collect(b, law_function, arm, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
-        tell_world(b.world_fd, b.world_state, b.axes, done)
+        _tell_world(b.world_fd, b.world_state, b.axes, done)
         _log_telemetry(b, done)
         if displays:
             _count(b.latency_bins, done - sync)

@@ -21,10 +21,9 @@ from coulombus.recording.measures import Measures, measure
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import blocks
 from coulombus.recording.recorder import Recorder
+from coulombus.wire.clock import NEVER_NS
 
 __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
-
-FOREVER_NS = 1 << 62
 
 SAFE_TIMEOUT_NS = 10_000_000_000
 """Longest wait for the end of the safe state, in addition to the brake's ramp."""
@@ -130,7 +129,7 @@ class Course(ABC):
             pass
         enabled = self.enabled_ns
         if enabled is not None:
-            display_ends = FOREVER_NS if seconds is None else enabled + round(seconds * 1e9)
+            display_ends = NEVER_NS if seconds is None else enabled + round(seconds * 1e9)
             while self.now_ns < display_ends and self.advance(display_ends, lambda: self.controllers.ending):
                 pass
         self._mark_display_end()

@@ -334,30 +334,26 @@ class NodeFault(Lasting):
     node: NodeName
 
 
-_MODELS = (
-    *(NodeFault, OtherNodeId, SlowSdo, SecondMaster, Babble, StuckDominant, Noise, Cut),
-    *(Reset, Drift, Drop, Delay, Duplicate, CorruptCrc, Flip),
-)
 AnyFault = Annotated[
-    Flip
-    | CorruptCrc
-    | Drop
-    | Delay
-    | Duplicate
-    | Reset
-    | Cut
-    | Drift
+    NodeFault
+    | OtherNodeId
+    | SlowSdo
+    | SecondMaster
     | Babble
     | StuckDominant
     | Noise
-    | SlowSdo
-    | SecondMaster
-    | OtherNodeId
-    | NodeFault,
+    | Cut
+    | Reset
+    | Drift
+    | Drop
+    | Delay
+    | Duplicate
+    | CorruptCrc
+    | Flip,
     Field(discriminator="kind"),
 ]
 KINDS: Mapping[str, type[_Fault]] = {
-    kind: model for model in _MODELS for kind in get_args(model.model_fields["kind"].annotation)
+    kind: model for model in get_args(get_args(AnyFault)[0]) for kind in get_args(model.model_fields["kind"].annotation)
 }
 """Models of all kinds of faults, by name."""
 

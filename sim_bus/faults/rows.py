@@ -17,6 +17,7 @@ from coulombus.sim_bus.faults.fault_kinds import (
     BIT_NAMES,
     OF_NO_NODE,
     RESTART_MS,
+    AnyFault,
     Babble,
     Cut,
     Delay,
@@ -39,7 +40,7 @@ __all__ = ["Injected", "begin_enabled", "install", "restart_usually", "result_of
 
 HOST_ROW = 255
 _TABLED = {"slow_sdo": FaultKind.DELAY, "second_master": FaultKind.BABBLE}
-"""What the bus does for kinds that are no `FaultKind`; Python performs the others."""
+"""What the bus does for kinds that are no `FaultKind`."""
 SOURCE_HOST = -1
 
 
@@ -170,7 +171,7 @@ def install(
     later = []
     for n, fault in enumerate(plan.file.fault):
         row, key = bus.faults[places[n]], ("fault", plan.faults[n])
-        row.kind = int(_TABLED.get(fault.kind) or FaultKind.__members__.get(fault.kind.upper(), FaultKind.DRIFT))
+        row.kind = int(_effect(fault))
         row.nth, row.every, row.most = 1, 0, 0
         row.match_source = row.station = ALL
         duration = getattr(fault, "duration_s", None)
@@ -239,6 +240,13 @@ def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> 
         _begin(row, now_ns + after_ns, int(row.until_ns))
     plan_alarm(bus, now_ns)
     refresh(bus)
+
+
+def _effect(fault: AnyFault) -> FaultKind:
+    """Return what the bus does for a fault: nothing for one of a device, which Python performs."""
+    if isinstance(fault, NodeFault | OtherNodeId):
+        return FaultKind.DRIFT
+    return _TABLED[fault.kind] if fault.kind in _TABLED else FaultKind[fault.kind.upper()]
 
 
 def _what(row: FaultRecord, fault: object, nodes: _StationNumbers, key: Key) -> None:

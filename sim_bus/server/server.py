@@ -33,6 +33,7 @@ from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.sim_bus.server.socket_file import locked, refuse_live, unlink_own
 from coulombus.system.realtime import RealTime, ask_for_real_time, bus_cpu
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
+from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import Hello, greet
 from coulombus.wire.recvmsg import ask_for_stamps
@@ -40,7 +41,6 @@ from coulombus.wire.socketcan import can_socket, is_virtual
 
 __all__ = ["BusServer"]
 
-FOREVER_NS = 1 << 62
 RECORD_FRAMES = 256
 SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK = 101, 2, 0x1FFFFFFF
 
@@ -101,7 +101,7 @@ class BusServer:
         self._inodes: dict[Path, int] = {}
         self._calls: deque[tuple[Future[object], Callable[[], object]]] = deque()
         self._ended = False
-        self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
+        self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, NEVER_NS
         self._load()
         self.world.load_detail()
         warm_up(make_world(self.bit_rate, True))
@@ -118,7 +118,7 @@ class BusServer:
 
     def _load(self) -> None:
         """Compile the loop, or load it from the cache, by a call that stops at once."""
-        self._pace["stop"], self._pace["start_ns"] = 1, time.monotonic_ns() + FOREVER_NS // 2
+        self._pace["stop"], self._pace["start_ns"] = 1, time.monotonic_ns() + NEVER_NS // 2
         self._serve()
         self._pace["stop"] = self._pace["wakeups"] = 0
 

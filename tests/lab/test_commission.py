@@ -36,7 +36,7 @@ def afternoon(tmp_path):
 
     def do(*names, truth=(), believed=(), given=None, run=None, agree=lambda step, risk: True):
         true = load_rig("bench", truth)
-        session = Session(path, run or rehearsed(true), given or Given(), lambda: AT, believed)
+        session = Session(path, run or rehearsed(true), given or Given(), believed, now=lambda: AT)
         return session, [session.do(BY_NAME[name], agree) for name in names]
 
     return do

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from coulombus.monitor import pdo_text
-from coulombus.monitor.live import BITS, Live
+from coulombus.monitor.live import Live
 from coulombus.monitor.screen import CHANGED, Screen, as_dict, as_lines
 from coulombus.monitor.snapshot import HostLine
 from coulombus.monitor.watch import ViewKeys, _Asker
@@ -289,10 +289,6 @@ def test_periods_load_and_bits_of_words(rig):
     assert "load 5 %" in whole
     (row,) = (row for row in live.snapshot(T0 + S).pdos if row.name == "motor.TPDO1")
     assert (row.least_s, row.most_s) == (None, None)  # none came since
-
-
-def test_bits_of_a_frame_are_those_of_the_worst_stuffing():
-    assert [worst_case_bits(n) for n in range(9)] == list(BITS)
 
 
 def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):

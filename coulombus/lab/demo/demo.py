@@ -17,7 +17,7 @@ from coulombus.host.run.run import Outputs, Run
 from coulombus.lab.simulate import virtual_run
 from coulombus.rigs.rig import Rig
 
-__all__ = ["DEMO_MODES", "TITLES", "Criterion", "Demo", "criteria_as_dicts", "displays", "judge", "run_demo"]
+__all__ = ["DEMO_MODES", "TITLES", "Criterion", "Demo", "JudgedDemo", "displays", "judge", "run_demo"]
 
 DEMO_MODES = ("active", "hybrid")
 """The paper's comparison."""
@@ -49,6 +49,34 @@ class Criterion:
     """None if the rig lacks the measurement."""
 
 
+@dataclass(frozen=True)
+class JudgedDemo:
+    """The verdict on a demo."""
+
+    criteria: tuple[Criterion, ...]
+
+    @property
+    def passed(self) -> bool:
+        """True if every criterion that can be judged holds."""
+        return all(criterion.holds is not False for criterion in self.criteria)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the demo as plain values for JSON."""
+        criteria = [{"text": c.text, "found": c.found, "holds": c.holds} for c in self.criteria]
+        return {"passed": self.passed, "criteria": criteria}
+
+
+@dataclass(frozen=True)
+class Demo(JudgedDemo):
+    """The runs by the name of their files, and the verdict on them."""
+
+    results: dict[str, RunResult]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the demo as plain values for JSON."""
+        return {name: result.as_dict() for name, result in self.results.items()} | super().as_dict()
+
+
 def displays(rig: Rig, seed: int = 0) -> dict[str, Run]:
     """Return the runs by the name of their files, those of `TITLES`: the paper's comparison, hybrid at the
     active display's friction, and the brake alone if the rig has that mode.
@@ -58,19 +86,6 @@ def displays(rig: Rig, seed: int = 0) -> dict[str, Run]:
     runs = {mode: Run(rig, mode, seconds, seed) for mode in DEMO_MODES}
     runs[SAME] = Run(same, "hybrid", seconds, seed)
     return runs | {mode: Run(rig, mode, seconds, seed) for mode in ("passive",) if mode in rig.modes}
-
-
-@dataclass(frozen=True)
-class Demo:
-    """The runs and the verdict on them."""
-
-    results: dict[str, RunResult]
-    criteria: tuple[Criterion, ...]
-
-    @property
-    def passed(self) -> bool:
-        """True if every criterion that can be judged holds."""
-        return all(criterion.holds is not False for criterion in self.criteria)
 
 
 def _between(value: float | None, low: float, high: float) -> bool:
@@ -148,20 +163,6 @@ def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[st
 
         outputs = Outputs(record=directory / f"{name}.pcapng", force=True)
         results[name] = virtual_run(replace(run, outputs=outputs), progress=report)
-    demo = Demo(results, judge(rig, results))
-    (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
+    demo = Demo(judge(rig, results), results)
+    (directory / "demo.json").write_text(json.dumps(demo.as_dict(), indent=2) + "\n")
     return demo
-
-
-def as_dict(demo: Demo) -> dict[str, Any]:
-    """Return the demo as plain values for JSON."""
-    return {
-        **{mode: result.as_dict() for mode, result in demo.results.items()},
-        "passed": demo.passed,
-        "criteria": criteria_as_dicts(demo.criteria),
-    }
-
-
-def criteria_as_dicts(criteria: tuple[Criterion, ...]) -> list[dict[str, Any]]:
-    """Return criteria as plain values for JSON."""
-    return [{"text": c.text, "found": c.found, "holds": c.holds} for c in criteria]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Outputs, Run
-from coulombus.lab.demo.demo import Criterion, criteria_as_dicts
+from coulombus.lab.demo.demo import Criterion, JudgedDemo
 from coulombus.lab.plane_figures import TipSamples, tip_samples
 from coulombus.lab.simulate import virtual_run
 from coulombus.recording.measures import HOLD_LEAD_S, HOLD_TAIL_S
@@ -74,17 +74,11 @@ class TipRun:
 
 
 @dataclass(frozen=True)
-class PlaneDemo:
+class PlaneDemo(JudgedDemo):
     """The runs by mode, and the verdict on them."""
 
     rig: Rig
     runs: dict[str, TipRun]
-    criteria: tuple[Criterion, ...]
-
-    @property
-    def passed(self) -> bool:
-        """True if every criterion that can be judged holds."""
-        return all(criterion.holds is not False for criterion in self.criteria)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the demo as plain values for JSON."""
@@ -92,7 +86,7 @@ class PlaneDemo:
             mode: run.result.as_dict() | {"hold_tip_rms_m_s": run.hold_rms_m_s, "hold_tip_push_N": run.hold_push_N}
             for mode, run in self.runs.items()
         }
-        return runs | {"passed": self.passed, "criteria": criteria_as_dicts(self.criteria)}
+        return runs | super().as_dict()
 
 
 def directional_force(samples: TipSamples, count: int = DIRECTIONS) -> npt.NDArray[np.float64]:
@@ -207,7 +201,7 @@ def run_plane_demo(
         begin_s = 0.0 if enabled_ns is None else enabled_ns * 1e-9
         runs[mode] = TipRun(result, tip_samples(rig, model.law, world.tip_course(), begin_s), hold_s)
         static_N = getattr(model.law.parameters, "F_s_N", None)
-    demo = PlaneDemo(rig, runs, _judge(rig, runs, static_N))
+    demo = PlaneDemo(_judge(rig, runs, static_N), rig, runs)
     (directory / "demo.json").write_text(json.dumps(demo.as_dict(), indent=2) + "\n")
     return demo
 

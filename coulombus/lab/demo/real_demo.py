@@ -17,7 +17,7 @@ from coulombus.host.run.real_run import real_run
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.run import Outputs, Run
 from coulombus.host.setup.bringup import check_plan
-from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
+from coulombus.lab.demo.demo import DEMO_MODES, Demo, judge
 from coulombus.lab.warm_up import warm_up
 from coulombus.rigs.rig import Rig
 from coulombus.system.realtime import die_with_parent
@@ -125,6 +125,6 @@ def run_real_demo(
             results[mode] = real_run(run, bus=sim.address, signals=signals, progress=report)
             if signals is not None and signals.number:
                 raise Stopped(signals.number, "before the demo was over")
-    demo = Demo(results, judge(rig, results))
-    (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
+    demo = Demo(judge(rig, results), results)
+    (directory / "demo.json").write_text(json.dumps(demo.as_dict(), indent=2) + "\n")
     return demo

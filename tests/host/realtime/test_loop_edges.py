@@ -79,7 +79,7 @@ class Bench:
         for name in OWN:
             monkeypatch.setattr(loop, name, plain(getattr(loop, name)))
         self.world = []
-        for name in ("take_models", "tell_world"):
+        for name in ("_take_models", "_tell_world"):
             monkeypatch.setattr(loop, name, lambda *_, name=name: self.world.append(name))
         for name, double in {
             "now_ns": lambda: self.now_ns,
@@ -241,8 +241,8 @@ def test_each_axis_takes_the_newest_models_when_its_tpdos_are_there(bench):
     bench.patch(loop, "log_moment", lambda plane, trace, kind, *row: bench.world.append(Moment(kind).name))
     bench.patch(loop, "finish", lambda *_: bench.world.append("finish") or left.pop(0))
     assert loop._collect(bench.b, None, None, NOW_NS + 1) == 0
-    cycle = ["take_models", "ARRIVED", "finish"]
-    assert bench.world == [*cycle, *cycle, "take_models", "WINDOW", "finish"]
+    cycle = ["_take_models", "ARRIVED", "finish"]
+    assert bench.world == [*cycle, *cycle, "_take_models", "WINDOW", "finish"]
 
 
 # commands

@@ -20,6 +20,8 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import FaultError, injected_lines, read_faults
+from coulombus.sim_bus.faults.fault_kinds import KINDS, SlowSdo
+from coulombus.sim_bus.faults.rows import _effect
 from coulombus.sim_bus.network.event_loop import BRAKE, MOTOR
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress
@@ -144,6 +146,13 @@ def test_a_recorded_run_that_ends_before_anything_is_displayed_has_no_figures(tm
     result = simulate("bench", "hybrid", 1.0, faults=file, record=tmp_path / "r.pcapng")
     assert result.exit_status == 7
     assert (result.cycles, result.hold_counts_p2p, result.hold_velocity_rms_rad_s) == (0, None, None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_has_an_effect_and_no_other_has_one(kind):
+    _effect(KINDS[kind].model_construct(kind=kind))
+    with pytest.raises(KeyError):
+        _effect(SlowSdo.model_construct(kind=f"{kind}s"))
 
 
 def test_what_never_struck_is_told():
