@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.reader import read_eds
-from coulombus.node import core, emcy, slots402
+from coulombus.node import emcy, slots402
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import GENERIC
@@ -18,7 +18,7 @@ from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.wire.clock import NEVER_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
-from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
+from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, on_time, setpoint
 from places import CORPUS, beside
 
 
@@ -95,7 +95,7 @@ def test_a_late_call_gives_no_burst_of_heartbeats():
     bench.write(0x1017, 0, 10, 2)
     bench.take()
     bench.t = 95 * MS
-    core.on_time(bench.nodes[0], bench.t, bench.out)
+    on_time(bench.nodes[0], bench.t, bench.out)
     bench._collect()
     assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
     assert bench.node.next_ns == 105 * MS

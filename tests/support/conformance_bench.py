@@ -12,7 +12,6 @@ from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.runner import Report, check_before, run, select
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import Description, read_eds
-from coulombus.node import core
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
@@ -20,6 +19,7 @@ from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.wire.bus_link import RTR, BusFrame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
+from node_bench import on_frame, on_time
 from places import EDS
 
 KIND_OF = {"motor": DRIVE402, "mr_brake": BRAKE404}
@@ -59,14 +59,14 @@ class VirtualLink:
 
     def deliver(self, can_id: int, data: bytes, length: int) -> None:
         arguments = (self.t, can_id, length, data_word(data), self.out)
-        if core.on_frame(self.nodes[0], *arguments):
+        if on_frame(self.nodes[0], *arguments):
             self.device.service(*arguments)
         self._collect()
 
     def until(self, t_ns: int) -> None:
         while int(self.nodes[0].next_ns) <= t_ns:
             self.t = max(self.t, int(self.nodes[0].next_ns))
-            core.on_time(self.nodes[0], self.t, self.out)
+            on_time(self.nodes[0], self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 

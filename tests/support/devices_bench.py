@@ -11,13 +11,13 @@ from itertools import count
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.eds.reader import parse_eds
-from coulombus.node import core
 from coulombus.node.device import Device
 from coulombus.node.kinds import of_identity
 from coulombus.node.record import new_nodes
 from coulombus.wire.bus_link import RTR, BusFrame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 from eds_edit import edit
+from node_bench import on_frame, on_time
 from places import EDS
 
 DELAY_NS = 100_000
@@ -84,7 +84,7 @@ class DevicesLink:
     def _deliver(self, can_id, data, length):
         for row, device in zip(self._rows, self.devices, strict=True):
             arguments = (self.t, can_id, len(data) if length is None else length, data_word(data), self.out)
-            if core.on_frame(row[0], *arguments):
+            if on_frame(row[0], *arguments):
                 device.service(*arguments)
         self._collect()
         for other in self.others:
@@ -109,7 +109,7 @@ class DevicesLink:
             self.t = max(self.t, self._next_ns())
             for row in self._rows:
                 if int(row[0].next_ns) <= self.t:
-                    core.on_time(row[0], self.t, self.out)
+                    on_time(row[0], self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 
