@@ -33,6 +33,7 @@ from coulombus.analysis.theory.bounds import Bounds, bounds
 from coulombus.analysis.theory.sampled_loop import LOOP, STATS, StatsRecord, run_loops
 from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
+from coulombus.kernels.decorator import Entry
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.frame import new_records
@@ -46,6 +47,8 @@ QUIET_COUNTS = 2
 DYING_OUT = 0.9  # RMS velocity of the window's second half over the whole: a decaying swing of the hand
 MOST_DELAY_CYCLES = 60
 CHUNK = 96  # runs per task: enough that the task overhead is negligible
+
+_RUN_LOOPS = Entry(run_loops)  # one of a cluster's workers compiles it, and the others wait
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,7 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
 def run_chunk(loops: Array) -> Array:
     """Run LOOP records and return their STATS: the task of threads and cluster workers."""
     out = new_records(StatsRecord, len(loops))
-    run_loops(
+    _RUN_LOOPS(
         np.array(loops).view(np.recarray),
         new_records(MotionRecord),
         new_records(LawRecord),
@@ -277,7 +280,7 @@ def simulate_point(point: LoopParameters) -> PointResult:
     loops = _loops({f.name: getattr(point, f.name) for f in fields(point)}, (1,))
     out = new_records(StatsRecord)
     trace = np.zeros((round((point.settle_s + point.window_s) * point.rate_Hz), 3))
-    run_loops(
+    _RUN_LOOPS(
         loops.view(np.recarray),
         new_records(MotionRecord),
         new_records(LawRecord),
