@@ -127,10 +127,12 @@ def coverage(seeds):
 
 @pytest.mark.thorough
 def test_a_bodys_friction_is_in_the_intervals():
-    """With straight lines between the samples sigma_1 was 5 % off, and the minimum another one."""
-    holds, of = coverage(range(1))
+    """With straight lines between the samples sigma_1 was 5 % off, and the minimum another one. Of seed 0, the
+    rounding of the processor decides whether F_c, F_s and v_s are told.
+    """
+    holds, of = coverage((1, 2))
     assert sum(holds.values()) >= sum(of.values()) - 1
-    assert sum(of.values()) >= 4
+    assert sum(of.values()) >= 10
 
 
 @pytest.mark.long
