@@ -102,7 +102,7 @@ def test_between_the_ends_the_inverse_never_falls_and_has_no_jump():
     for coil in (3.0, 0.5, 1.5):
         magnetise(bench.c, bench.h, coil)
     asked = [0.001 * k for k in range(6000)]
-    coils = [coil_for(bench.c, bench.h, one) for one in asked]
+    coils = [coil_for(bench.c, bench.h, wanted_Nm) for wanted_Nm in asked]
     steps = [later - earlier for earlier, later in itertools.pairwise(coils)]
     assert min(steps) >= 0
     assert max(steps) < 0.001 / bench.c.iron_direct + 1e-6
@@ -112,7 +112,7 @@ def shown(bench, truth, course):
     """Return the plant's torque, cycle by cycle, while the host leads through its belief."""
     c, h = bench.c, bench.h
     coil = fluid = 0.0
-    found = []
+    torques_Nm = []
     for level in course:
         h.brake_Nm = lead(c, h, level)
         assert 0.0 <= h.brake_Nm <= c.brake_limit_Nm
@@ -120,13 +120,13 @@ def shown(bench, truth, course):
             coil += (h.brake_Nm - coil) * (1 - math.exp(-5e-5 / 0.003))
             fluid += (iron(truth, coil) - fluid) * (1 - math.exp(-5e-5 / 0.015))
         expect(c, h)
-        found.append(fluid)
-    return found
+        torques_Nm.append(fluid)
+    return torques_Nm
 
 
 def test_the_lead_brings_the_brake_to_its_level_sooner():
     slow, fast = (np.array(shown(HostBench("hybrid", *lags), true_iron([], []), [2.0] * 100)) for lags in ((), LAGS))
-    arrived = [int(np.argmax(np.abs(one - 2.0) < 0.1)) for one in (slow, fast)]
+    arrived = [int(np.argmax(np.abs(course - 2.0) < 0.1)) for course in (slow, fast)]
     assert arrived[1] < 0.5 * arrived[0]
     assert fast.max() < 1.05 * 2.0
     assert fast[-1] == pytest.approx(2.0, rel=5e-3)
@@ -149,17 +149,17 @@ COURSE = [2.0] * 150 + [3.0] * 150 + [1.0] * 150 + [2.0] * 150
 
 @pytest.mark.parametrize("lags", [LAGS, LAGS[1:], LAGS[:1], ()])
 def test_the_torque_comes_to_its_level_from_above_and_from_below(lags):
-    found = shown(HostBench("hybrid", *IRON, *lags), true_iron(), COURSE)
+    torques_Nm = shown(HostBench("hybrid", *IRON, *lags), true_iron(), COURSE)
     for k in (149, 299, 449, 599):
-        assert found[k] == pytest.approx(COURSE[k], rel=0.005)
+        assert torques_Nm[k] == pytest.approx(COURSE[k], rel=0.005)
     without = shown(HostBench("hybrid", *lags), true_iron(), COURSE)
     assert max(abs(without[k] / COURSE[k] - 1) for k in (149, 299, 449, 599)) > 0.04
 
 
 def test_what_is_expected_is_what_the_plant_bears():
     bench, truth = HostBench("hybrid", *IRON, *LAGS), true_iron()
-    found = shown(bench, truth, COURSE)
-    assert bench.h.brake_lagged_Nm == pytest.approx(found[-1], abs=2e-3)
+    torques_Nm = shown(bench, truth, COURSE)
+    assert bench.h.brake_lagged_Nm == pytest.approx(torques_Nm[-1], abs=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -179,9 +179,9 @@ def test_a_wrong_belief_is_wrong_by_no_more_than_the_limits_let_it(plays, weight
     c.iron_plays, c.iron_direct = len(plays), 1 - math.fsum(weights)
     for k, (play, weight) in enumerate(zip(plays, weights, strict=True)):
         c.iron_r[k], c.iron_w[k] = play, weight
-    found = shown(bench, true_iron(), COURSE * 2)  # each cycle's set-point is within 0 and the limit
-    assert all(0.0 <= one <= c.brake_limit_Nm for one in found)
-    last = found[-50:]
+    torques_Nm = shown(bench, true_iron(), COURSE * 2)  # each cycle's set-point is within 0 and the limit
+    assert all(0.0 <= torque_Nm <= c.brake_limit_Nm for torque_Nm in torques_Nm)
+    last = torques_Nm[-50:]
     assert max(last) - min(last) < 2e-3  # and it comes to rest
 
 
@@ -193,7 +193,7 @@ def test_what_is_no_torque_becomes_no_set_point_beyond_the_limits(wanted):
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    ("overrides", "text"),
     [
         (["brake.iron.weights=[0.2]"], "play_Nm: missing in .brake.iron."),
         (["brake.iron.play_Nm=[0.1]", "brake.iron.weights=[0.2, 0.3]"], "got 2 values where play_Nm has 1"),
@@ -203,8 +203,8 @@ def test_what_is_no_torque_becomes_no_set_point_beyond_the_limits(wanted):
         (["brake.iron=3"], "brake.iron"),
     ],
 )
-def test_iron_that_is_none_is_refused(overrides, told):
-    with pytest.raises(RigError, match=told):
+def test_iron_that_is_none_is_refused(overrides, text):
+    with pytest.raises(RigError, match=text):
         load_rig("bench", overrides)
 
 
