@@ -20,10 +20,11 @@ from benchmarks.explain_bus import Machine
 from benchmarks.explain_runs import main as truths
 from coulombus.explain.explained import Explainer
 from coulombus.explain.live_bus import Followed
+from coulombus.kernels.records import Records
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.client import Received
-from coulombus.wire.frame import Records, data_bytes
+from coulombus.wire.frame import data_bytes
 from coulombus.wire.frame_batches import Block
 
 CAUSE, NODE, STATE, INVENTED = 0.95, 0.98, 0.98, 1 / 200

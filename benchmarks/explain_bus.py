@@ -13,11 +13,11 @@ import numpy as np
 from benchmarks.explain_devices import DEVICES
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.eds_folder import EdsFiles
+from coulombus.kernels.records import Records
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.clock import own_ns
-from coulombus.wire.frame import Records
 
 MS = 1_000_000
 MASTER = 0x7F

@@ -11,9 +11,9 @@ from coulombus.eds.eds_folder import EdsFiles
 from coulombus.explain.bus import Bus
 from coulombus.explain.explained import Explainer, Explanation
 from coulombus.explain.incidents import Incident
+from coulombus.kernels.records import Records
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records
 
 __all__ = ["Outcome", "Score", "Truth", "explained", "truth_of"]
 

@@ -16,11 +16,11 @@ from benchmarks import contestants as c
 from benchmarks.contestants import Bus, quantile
 from benchmarks.realtime import compiled, ratio, skipped, take_turns
 from benchmarks.report import show
+from coulombus.kernels.records import Records
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.fault_file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.wire.frame import Records
 
 __all__ = ["disturbance_ns", "faulty"]
 

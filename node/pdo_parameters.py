@@ -26,11 +26,11 @@ from coulombus.eds.pdo import (
     entry_of,
     fill,
 )
+from coulombus.kernels.records import Record
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.kinds import PROFILES
 from coulombus.node.profile import Profile, SdoAbort
 from coulombus.node.record import MAX_PDOS
-from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]
 

@@ -44,155 +44,23 @@ EQUIVALENTS = ROOT / "scripts" / "mutants_equivalent.toml"
 @dataclass(frozen=True)
 class Target:
     """A module's tests, the functions that are meant when not all are, and the mark of the tests that
-    are left out: they simulate whole runs, which takes minutes in plain Python.
+    are left out.
     """
 
     tests: tuple[str, ...]
-    units: tuple[str, ...] = ()
-    marks: str = ""
+    functions: tuple[str, ...] = ()
+    without: str = ""
 
 
-TARGETS = {
-    "host/cycle/monitors.py": Target(("test_monitors", "test_cycle", "test_cycle_roles")),
-    "host/cycle/plausibility.py": Target(("test_plausibility",)),
-    "host/cycle/step.py": Target(
-        ("test_cycle", "test_hand_over", "test_safety", "test_cycle_roles", "test_live_parameters")
-    ),
-    "host/cycle/phases.py": Target(
-        (
-            "test_hand_over",
-            "test_safety",
-            "test_phases",
-            "test_joint_phases",
-            "test_slow_velocity",
-            "test_brake_model",
-            "test_passivity",
-            "test_mirrored",
-            "test_cycle",
-            "test_transitions",
-            "test_cycle_roles",
-            "test_study_delay",
-        )
-    ),
-    "host/cycle/hand_over.py": Target(("test_hand_over", "test_safety")),
-    "host/cycle/study_delay.py": Target(("test_study_delay",)),
-    "host/cycle/telemetry.py": Target(("test_telemetry",)),
-    "host/cycle/brake_model.py": Target(("test_brake_model",), ("seen_by_fluid", "coil_for", "magnetise")),
-    "host/cycle/axes.py": Target(("test_host_axes",)),
-    "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
-    "host/laws/wall.py": Target(("test_law_edges",), ("wall",)),
-    "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),
-    "host/laws/coulomb.py": Target(("test_law_edges",), ("coulomb",)),
-    "host/cycle/controller.py": Target(
-        ("test_host_control", "test_cycle_roles"),
-        ("_cycles", "Controller._new_control", "Controller.motor_limit_raw", "Controller.start", "Controller.stop"),
-    ),
-    "host/cycle/output_limits.py": Target(("test_output_limits", "test_cycle_roles")),
-    "host/setup/law_demand.py": Target(
-        ("test_law_demand_edges", "test_law_demand"),
-        marks="slow",
-    ),
-    "host/cycle/live_parameters.py": Target(("test_live_parameters",)),
-    "host/world/local_model.py": Target(("test_local_model", "test_local_model_edges", "test_softening")),
-    "host/world/softening.py": Target(("test_softening",)),
-    "host/plane/tip_model.py": Target(("test_tip_model",)),
-    "host/run/run_sequence.py": Target(("test_run_sequence_edges",)),
-    "host/run/control_socket.py": Target(("test_control_socket_edges", "test_control_socket")),
-    "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
-    "host/realtime/loop.py": Target(
-        ("test_loop_edges",),
-        ("_skip", "_look_after_parent", "_all_done", "_count", "_obey", "_goes_on", "run_plane"),
-    ),
-    "host/realtime/bus_sockets.py": Target(
-        ("test_bus_sockets", "test_loop_edges"), ("stop", "failed", "watch", "lose", "transmit", "drain")
-    ),
-    "host/setup/host_loss.py": Target(("test_host_loss_edges",)),
-    "host/run/realtime_sequence.py": Target(
-        ("test_realtime_sequence_edges",),
-        tuple(
-            f"RealCourse.{name}"
-            for name in (
-                *("mark", "_why_no_change", "_apply", "_watch_keys", "drain", "_give_up_recording", "stop", "set_up"),
-                *("_await_hand", "armed", "_arm", "display", "_fail", "_attempt", "make_safe", "advance", "_supervise"),
-                *("_plane_gone", "_never_cycled", "end", "close", "trip", "_lost_share", "_exit_status", "figures"),
-                "result",
-            )
-        ),
-    ),
-    "host/setup/device_plan.py": Target(("test_device_plan_edges", "test_position_scale", "test_marks")),
-    "host/setup/bringup.py": Target(("test_bringup_edges",)),
-    "host/realtime/data_plane.py": Target(
-        ("test_data_plane_edges",),
-        (
-            "Spread.from_bins",
-            "rig_filters",
-            *(
-                f"DataPlane.{name}"
-                for name in (
-                    *("pid", "wait_ready", "status", "cycles", "alive", "fate", "lost_text", "start_cycle", "stop"),
-                    *(
-                        "attend",
-                        "hold_deadman",
-                        "publish_order",
-                        "end_cycle",
-                        "await_end",
-                        "take_frames",
-                        "take_trace",
-                        "close",
-                    ),
-                    *("wakeup", "latency", "cpu_us_per_cycle", "counters"),
-                )
-            ),
-        ),
-    ),
-    "host/setup/settings.py": Target(("test_settings_edges",)),
-    "sim_bus/server/bridge.py": Target(
-        ("test_bridge_edges",),
-        ("faults", "Result.exit_status", "_Way.__init__", "_Way.receive", "_Way.give", "_Way.next_ns"),
-    ),
-    "sim_bus/server/live_nodes.py": Target(
-        ("test_live_nodes_edges",),
-        (
-            *(
-                f"LiveNodes.{name}"
-                for name in (
-                    *("__post_init__", "_open", "_commission", "make_world", "_devices", "_heard", "_check_kind"),
-                    "_report",
-                )
-            ),
-            "serves",
-        ),
-    ),
-    "sim_bus/server/admission.py": Target(
-        ("test_server_edges",),
-        tuple(f"Admission.{name}" for name in ("accept", "_turn_away", "_place", "admit", "greeted", "part")),
-    ),
-    "sim_bus/server/socket_file.py": Target(("test_server_edges",)),
-    "sim_bus/server/sim_result.py": Target(("test_server_edges",)),
-    "node/deadlines.py": Target(("test_node_watch_edges",)),
-    "node/guarding.py": Target(("test_node_watch_edges",)),
-    "node/reactions.py": Target(("test_node_behaviour",)),
-    "node/states402.py": Target(("test_drive402_edges", "test_stand_in")),
-    "node/motion402.py": Target(("test_motion402_edges", "test_stand_in")),
-    "node/drive402.py": Target(
-        ("test_node_behaviour", "test_stand_in"), ("_apply", "_connection_lost", "_react", "_supply")
-    ),
-    "node/brake404.py": Target(
-        ("test_brake404_edges", "test_node_behaviour"),
-        (
-            *("start", "_torque", "_begin_ramp", "cut", "new_setpoint", "connection_lost", "host_lost", "actuate"),
-            *("_input", "_odd_input", "sample", "next_deadline"),
-            *("_actuate", "_apply", "_connection_lost", "_react"),
-        ),
-    ),
-    "eds/codec.py": Target(("test_nearest_integer",), ("nearest_integer",)),
-    "node/io401.py": Target(
-        ("test_io401",),
-        ("_within", "_allowed", "_sample", "_actuate", "_fail", "_apply", "_connection_lost", "_react"),
-    ),
-    "node/coil404.py": Target(("test_brake404_edges",)),
-}
-"""What decides about torque, brake or arming, and the tests that hold it."""
+def _targets(path: Path) -> dict[str, Target]:
+    entries = tomllib.loads(path.read_text(encoding="utf-8"))
+    return {
+        name: Target(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()})
+        for name, entry in entries.items()
+    }
+
+
+TARGETS = _targets(ROOT / "scripts" / "mutants_targets.toml")
 
 
 @dataclass
@@ -309,7 +177,7 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
     """Run the mutants of one module; return the tally, and what is wrong."""
     target, path = TARGETS[name], ROOT / name
     tests = [_file(test) for test in target.tests]
-    source = Source(name, path.read_text(encoding="utf-8"), target.units)
+    source = Source(name, path.read_text(encoding="utf-8"), target.functions)
     if source.lacking:
         raise SystemExit(f"{name}: expected the names of its functions, it has no {', '.join(source.lacking)}")
     mutants = source.mutants()
@@ -353,7 +221,7 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
         error = run(
             source,
             [mutants[k] for k in missing],
-            Tests(tuple(tests), target.marks),
+            Tests(tuple(tests), target.without),
             options.jobs,
             options.timeout,
             tell,

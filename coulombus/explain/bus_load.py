@@ -8,9 +8,10 @@ import numpy.typing as npt
 from coulombus.explain.bus import SDO_RX, SDO_TX, Bus
 from coulombus.explain.frames import Block, Integers
 from coulombus.kernels.decorator import kernel
+from coulombus.kernels.records import Records
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.can_flags import CAN_ERR_FLAG
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import FRAME
 
 __all__ = ["BusLoad"]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import ERROR, Block, Integers
+from coulombus.kernels.records import Records
 from coulombus.wire.can_flags import CAN_ERR_FLAG
 from coulombus.wire.error_frames import (
     ACTIVE_AGAIN,
@@ -26,7 +27,7 @@ from coulombus.wire.error_frames import (
     TX_WARNING,
     VIOLATION,
 )
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import FRAME
 
 __all__ = ["Disturbances"]
 

@@ -29,6 +29,7 @@ from coulombus.explain.node_summary import NodeSummary, summary_of
 from coulombus.explain.pdo_timing import PdoTimers, PdoTiming
 from coulombus.explain.rare import RareFrames
 from coulombus.explain.sync_timing import SyncTiming
+from coulombus.kernels.records import Records
 from coulombus.recording.bus_match import Channel
 from coulombus.recording.captures import captures_of_bus
 from coulombus.recording.file_content import Capture
@@ -36,7 +37,7 @@ from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.reading import HOST, RIG
 from coulombus.recording.time_search import SpanError
 from coulombus.rigs.rig import Rig, RigError, load_rig_text
-from coulombus.wire.frame import Records, data_bytes
+from coulombus.wire.frame import data_bytes
 
 __all__ = ["Explainer", "Explanation", "NodeSummary", "explain"]
 

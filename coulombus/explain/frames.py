@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
+from coulombus.kernels.records import Records
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
-from coulombus.wire.frame import Records
 
 __all__ = ["BLOCK", "SYNC", "Block", "Frames", "Integers", "Rolling"]
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from coulombus.explain.bus import Bus
 from coulombus.explain.frames import Block
+from coulombus.kernels.records import Records
 from coulombus.recording.host_telemetry import FIRST, PER_AXIS, PHASE_RUN, Limit
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import FRAME
 
 __all__ = ["HostMarkers"]
 

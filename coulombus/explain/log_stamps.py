@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from coulombus.explain.frames import Block, Integers
-from coulombus.wire.frame import Records
+from coulombus.kernels.records import Records
 
 __all__ = ["OF_TIMES", "StampBatches", "StraightTimes"]
 

@@ -15,13 +15,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from coulombus.eds.eds_folder import EdsFiles
+from coulombus.kernels.records import Records
 from coulombus.monitor.decode import BareDecoder, Row, as_text
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.sim_bus.faults.fault_file import FaultPlan
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.system.foreign_text import printable
-from coulombus.wire.frame import Records
 
 __all__ = ["BusLog", "LoggedNetwork", "inject"]
 

@@ -17,6 +17,7 @@ from coulombus.host.run.run import Code, Run
 from coulombus.host.run.run_recording import begin_recording
 from coulombus.host.run.run_sequence import Course, Figures
 from coulombus.host.setup.bringup import release, shut_down
+from coulombus.kernels.records import Records
 from coulombus.lab.plane_figures import plane_figures
 from coulombus.lab.set_up import ready_world, return_world, set_up
 from coulombus.lab.virtual_world import VirtualWorld
@@ -30,7 +31,6 @@ from coulombus.sim_bus.network.script import script_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.system.errors import CoulombusError
 from coulombus.wire.clock import bus_ns
-from coulombus.wire.frame import Records
 
 __all__ = ["TruthError", "VirtualCourse"]
 

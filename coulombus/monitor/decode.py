@@ -22,6 +22,7 @@ import numpy as np
 from coulombus.eds.cia301 import PDO_NAMES, CobId
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
+from coulombus.kernels.records import Records
 from coulombus.monitor.services import Row, emcy, heartbeat, lss, nmt, sync, time_stamp
 from coulombus.recording.block import Block, Source
 from coulombus.recording.bus_match import Channel
@@ -33,7 +34,7 @@ from coulombus.recording.pdo_columns import PdoTable
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.foreign_text import printable
 from coulombus.wire.error_frames import error_frame
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["BareDecoder", "Row", "as_json", "as_text", "bare_rows", "fitted", "rows", "text_lines"]
 

@@ -14,6 +14,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records
 from coulombus.recording.file_content import UNSURE, Capture
 from coulombus.recording.logs.stamps import WALL_CLOCK_NS
 from coulombus.recording.pdo_columns import (
@@ -32,7 +33,6 @@ from coulombus.recording.unwrap import Turns
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.rigs.signals import RigPdo, Signal
-from coulombus.wire.frame import Records
 
 __all__ = [
     "GIVE_RIG",

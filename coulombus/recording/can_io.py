@@ -18,7 +18,7 @@ from can.io.generic import MessageReader, SizedMessageWriter
 from coulombus.wire.python_can_messages import can_id_of, is_classical, message_of, word_of
 
 if TYPE_CHECKING:
-    from coulombus.wire.frame import Records
+    from coulombus.kernels.records import Records
 
 __all__ = ["PcapngMessageReader", "PcapngMessageWriter"]
 

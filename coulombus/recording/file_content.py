@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records
 from coulombus.recording.folders import segments_of
 from coulombus.recording.pcapng_blocks import attachment_block
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import FRAME
 
 __all__ = ["HOST", "LATE", "UNSURE", "Capture", "append_late", "joined", "pack_late", "remarks_on", "unpack_late"]
 

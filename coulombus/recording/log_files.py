@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
+from coulombus.kernels.records import Records
 from coulombus.recording.logs import blf, mf4, python_can
 from coulombus.recording.logs.content import Content
 from coulombus.recording.logs.formats import FORMATS
@@ -18,7 +19,6 @@ from coulombus.recording.logs.line_reader import FormatMatch, LineReader, read_r
 from coulombus.recording.logs.log import DIFFERENCES, Log, are_differences, time_remarks
 from coulombus.recording.pcapng_blocks import other_format
 from coulombus.system.errors import CoulombusError
-from coulombus.wire.frame import Records
 
 __all__ = ["EXPECTED", "LogContent", "LogError", "is_log", "is_pcapng", "read_log"]
 

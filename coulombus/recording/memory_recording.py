@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.block import Block, markers_of
 from coulombus.recording.file_content import Capture
 from coulombus.recording.measures import MEASURED
@@ -19,7 +20,7 @@ from coulombus.recording.pdo_columns import Series, signals_of
 from coulombus.recording.recorder import Markers
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 __all__ = ["MeasuredFrames"]
 

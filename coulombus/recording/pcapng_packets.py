@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import Entry, inlined, kernel
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.pcapng_blocks import (
     HOST_INTERFACE,
     IF_NAME,
@@ -22,7 +23,7 @@ from coulombus.recording.pcapng_blocks import (
     LINKTYPE_CAN_SOCKETCAN,
     iter_options,
 )
-from coulombus.wire.frame import CAN_RTR_FLAG, LENGTH_MASKS, Frame, Records, new_records
+from coulombus.wire.frame import CAN_RTR_FLAG, LENGTH_MASKS, Frame
 
 __all__ = [
     "BAD",

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from coulombus.eds.regular_file import require_regular
+from coulombus.kernels.records import Records
 from coulombus.recording.file_content import LATE, Capture, joined, unpack_late
 from coulombus.recording.folders import present, segments
 from coulombus.recording.logs.content import Content
@@ -56,7 +57,7 @@ from coulombus.recording.pcapng_packets import (
     walk,
 )
 from coulombus.recording.time_search import ALL, Window, offset_before
-from coulombus.wire.frame import FRAME, Records
+from coulombus.wire.frame import FRAME
 
 __all__ = ["iter_pcapng", "read_pcapng"]
 

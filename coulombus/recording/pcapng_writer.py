@@ -18,6 +18,7 @@ from types import TracebackType
 
 import numpy as np
 
+from coulombus.kernels.records import Records
 from coulombus.recording.output_file import is_stream, open_new
 from coulombus.recording.pcapng_blocks import (
     BYTE_ORDER_MAGIC,
@@ -40,7 +41,6 @@ from coulombus.recording.pcapng_blocks import (
     block,
     option,
 )
-from coulombus.wire.frame import Records
 
 __all__ = ["PcapngWriter", "SectionTexts"]
 

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
+from coulombus.kernels.records import Records
 from coulombus.recording.file_content import Capture
 from coulombus.recording.unwrap import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.system.errors import CoulombusError
-from coulombus.wire.frame import Records
 
 __all__ = [
     "PdoTable",

@@ -17,12 +17,13 @@ from types import MappingProxyType, TracebackType
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records
 from coulombus.recording.file_content import LATE, pack_late
 from coulombus.recording.host_telemetry import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.trace import MODELS, NAME, SENT, pack, pack_models, pack_sent
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records, buses_of
+from coulombus.wire.frame import buses_of
 
 __all__ = ["PACED", "About", "Markers", "Recorder", "project_version"]
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from coulombus.kernels.records import Records
 from coulombus.recording.folders import INDEX, files_of, runs, segments_of
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
@@ -37,7 +38,6 @@ from coulombus.recording.wall_clock import utc
 from coulombus.rigs.rig import Rig
 from coulombus.system.c_library import c_library
 from coulombus.system.file_lock import lock_file
-from coulombus.wire.frame import Records
 
 __all__ = ["INDEX", "Rotation", "SegmentedRecorder", "parse_rotation", "parse_size", "reserve"]
 

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.block import (
     Block,
     Overview,
@@ -48,7 +49,7 @@ from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 if TYPE_CHECKING:
     import pandas

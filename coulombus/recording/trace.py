@@ -27,8 +27,8 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.kernels.records import Record, dtype_of
-from coulombus.wire.frame import FRAME, Records
+from coulombus.kernels.records import Record, Records, dtype_of
+from coulombus.wire.frame import FRAME
 
 __all__ = [
     "EVENT",

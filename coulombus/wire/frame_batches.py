@@ -18,10 +18,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.system.c_library import c_library
 from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
 from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, OpenBus, Received
-from coulombus.wire.frame import LENGTH_MASKS, Frame, Records, new_records
+from coulombus.wire.frame import LENGTH_MASKS, Frame
 
 __all__ = ["Block", "BlockReader", "ObjectReader", "block_reader"]
 

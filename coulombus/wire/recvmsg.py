@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import kernel
 from coulombus.kernels.libc import MSG_TRUNC, recvmsg
-from coulombus.kernels.records import IntegerField, Record, RecordArray, dtype_of
+from coulombus.kernels.records import IntegerField, Record, RecordArray, dtype_of, new_records
 from coulombus.wire.ancillary import (
     CONTROL_WORDS,
     OVERFLOW,
@@ -27,7 +27,6 @@ from coulombus.wire.ancillary import (
     STAMP,
     STAMP_NEW,
 )
-from coulombus.wire.frame import new_records
 
 __all__ = ["MAILBOX", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 

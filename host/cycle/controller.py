@@ -33,17 +33,17 @@ from coulombus.host.cycle.records import (
     Trip,
 )
 from coulombus.host.cycle.trip_text import trip_text
-from coulombus.host.laws.law import Declaration, LawRecord, Parameters
+from coulombus.host.laws.law import Declaration, Parameters
 from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, load_declared, load_law
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.host.laws.plane.plane_laws import PlaneLaw
 from coulombus.host.world.model_set_up import set_up_model
+from coulombus.kernels.records import Records, new_records
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.deadman_object import deadman_mask
 from coulombus.rigs.device_services import beats, emcy_identifier, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
-from coulombus.wire.frame import Records, new_records
 
 __all__ = ["COUNTERS", "Controller"]
 
@@ -136,10 +136,7 @@ class Controller:
         self.law_state = () if self.declaration is None else self.declaration.state
         self.records = new_records(AxisRecord)
         self.motion["dt_s"] = axis.bus.period_s
-        self.law[:] = self._new_law()
-        if self.declaration is not None and self.parameters is not None:
-            self.declaration.fill(self.law[0], self.parameters)
-        self.law["velocity_band_counts"] /= axis.law.velocity_window_cycles
+        self._set_law()
         pdos = axis.pdos()
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
@@ -219,16 +216,15 @@ class Controller:
         """The changes of the law's parameters: an array of one record."""
         return self._parts["live"]
 
-    def _new_law(self) -> Records:
-        mode, law = self.axis.mode[self.mode], self.axis.law
-        record = new_records(LawRecord)
-        r = record[0]
-        r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
-        r["velocity_band_counts"] = law.velocity_band_counts
-        r["paper_entry"] = law.stick_entry == "paper"
-        r["brake_spring"] = law.brake_stick == "spring"
-        r["user"][: len(law.user)] = law.user
-        return record
+    def _set_law(self) -> None:
+        mode, law, record = self.axis.mode[self.mode], self.axis.law, self.law[0]
+        record["K_p"], record["F_s"], record["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
+        record["velocity_band_counts"] = law.velocity_band_counts / law.velocity_window_cycles
+        record["paper_entry"] = law.stick_entry == "paper"
+        record["brake_spring"] = law.brake_stick == "spring"
+        record["user"][: len(law.user)] = law.user
+        if self.declaration is not None and self.parameters is not None:
+            self.declaration.fill(record, self.parameters)
 
     def _new_pdos(self, pdos: list[RigPdo]) -> Records:
         records = new_records(PdoRecord, DRIVE_PDOS)

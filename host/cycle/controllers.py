@@ -17,8 +17,8 @@ from coulombus.host.cycle.records import AxisRecord, AxisRecords, Phase, SignRes
 from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.plane.plane_host import load_plane, new_plane_host
+from coulombus.kernels.records import Records, new_records
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records, new_records
 
 __all__ = ["EVERY_BUS", "Controllers", "unused_law"]
 

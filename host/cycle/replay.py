@@ -35,9 +35,10 @@ from coulombus.host.cycle.live_parameters import offer
 from coulombus.host.cycle.parameter_changes import ParameterOrder
 from coulombus.host.cycle.records import Trip
 from coulombus.host.world.recorded import place
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import NEVER_NS, Clock, bus_ns, own_ns, set_clock
-from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
+from coulombus.wire.frame import CAN_ERR_FLAG, new_queue
 
 __all__ = ["HostFrame", "Inputs", "replay"]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from coulombus.host.cycle.records import AxisRecord, AxisRecords, HostRecord
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, Records
 from coulombus.recording.host_telemetry import FIRST, GAIN, OF_WORLD, PER_AXIS, SOURCE_INSIDE, Limit
-from coulombus.wire.frame import Frame, Records
+from coulombus.wire.frame import Frame
 
 __all__ = ["write_axes", "write_axis"]
 

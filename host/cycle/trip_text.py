@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.records import Trip
+from coulombus.kernels.records import Records
 from coulombus.rigs.axis import Axis
-from coulombus.wire.frame import Records
 
 __all__ = ["TRIP_TEXT", "trip_text"]
 

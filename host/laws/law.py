@@ -272,17 +272,11 @@ class Declaration:
         """The DOIs in its docstring."""
         return tuple(doi.rstrip(".,;") for doi in re.findall(r"doi:(\S+)", inspect.getdoc(self.function) or ""))
 
-    def numbers(self, values: Parameters) -> dict[str, float]:
-        """Return the parameters as numbers for the law; a choice becomes its index."""
-        numbers = {}
-        for name, info in self.parameters.model_fields.items():
-            value = getattr(values, name)
-            numbers[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
-        return numbers
-
     def fill(self, record: Record, values: Parameters) -> None:
-        """Write the parameters into a record of the kind's parameters (`LawKind.law`)."""
-        for k, (name, number) in enumerate(self.numbers(values).items()):
+        """Write the parameters into a record of the kind's parameters (`LawKind.law`); a choice becomes its index."""
+        for k, (name, info) in enumerate(self.parameters.model_fields.items()):
+            value = getattr(values, name)
+            number = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
             if self.uses_mode_keys:
                 record[FIELD_OF_MODE[name]] = number
             else:

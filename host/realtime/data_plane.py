@@ -22,10 +22,11 @@ from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.log_rings import take_log, take_trace
 from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, PlaneCommand, PlaneStatus, SharedPlane
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.trace import TraceRow
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import Client
-from coulombus.wire.frame import Records, frames, new_records
+from coulombus.wire.frame import frames
 from coulombus.wire.handshake import Flags, Hello
 
 __all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]

@@ -36,13 +36,14 @@ from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.shared_memory import PlaneCommand, SharedPlane
 from coulombus.host.world.records import StateRecord
 from coulombus.kernels.decorator import Entry
+from coulombus.kernels.records import new_records
 from coulombus.recording.file_content import append_late
 from coulombus.recording.host_telemetry import MOST_FRAMES
 from coulombus.rigs.kinematics.kinematics_section import Kinematics
 from coulombus.rigs.kinematics.load_mechanism import load_mechanism
 from coulombus.system.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.system.stop_signals import SIGNALS
-from coulombus.wire.frame import QUEUE_CAPACITY, Frame, new_queue, new_records
+from coulombus.wire.frame import QUEUE_CAPACITY, Frame, new_queue
 from coulombus.wire.recvmsg import new_mailbox
 
 __all__ = ["main", "mark_trip", "new_buffers", "warm_up"]
@@ -50,25 +51,28 @@ __all__ = ["main", "mark_trip", "new_buffers", "warm_up"]
 
 def new_buffers(fds: Sequence[int], shared: SharedPlane, world_fd: int = -1) -> Buffers:
     """Return the loop's buffers for the sockets of its buses, a shared memory, and a socket for the states."""
-    s = shared
     box, words = new_mailbox(MESSAGE_FRAMES)
-    tx = np.zeros(2 * QUEUE_CAPACITY, np.int64)
-    sent_ns, overflows, poll = (np.zeros(len(fds), np.int64) for _ in range(3))
-    parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.skew_bins, s.axes, s.owner)
     return Buffers(
-        np.array(fds, np.int64),
-        s.bus_of,
-        *parts,
-        box,
-        words,
-        tx,
-        sent_ns,
-        overflows,
-        poll,
-        new_queue(),
-        new_records(Frame, MOST_FRAMES),
-        world_fd,
-        new_records(StateRecord),
+        fds=np.array(fds, np.int64),
+        bus_of=shared.bus_of,
+        plane=shared.plane,
+        ring=shared.ring,
+        trace=shared.trace,
+        wakeup_bins=shared.wakeup_bins,
+        latency_bins=shared.latency_bins,
+        skew_bins=shared.skew_bins,
+        axes=shared.axes,
+        owner=shared.owner,
+        box=box,
+        words=words,
+        tx=np.zeros(2 * QUEUE_CAPACITY, np.int64),
+        sent_ns=np.zeros(len(fds), np.int64),
+        overflows=np.zeros(len(fds), np.int64),
+        poll=np.zeros(len(fds), np.int64),
+        out=new_queue(),
+        told=new_records(Frame, MOST_FRAMES),
+        world_fd=world_fd,
+        world_state=new_records(StateRecord),
     )
 
 

@@ -26,12 +26,13 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import HostRecord, Image, Phase
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
+from coulombus.kernels.records import Records, new_records
 from coulombus.rigs.rig import Rig
 from coulombus.system.realtime import default_cpu
 from coulombus.wire.address import BusAddress
 from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.client import pack_frame
-from coulombus.wire.frame import Records, data_bytes, new_records
+from coulombus.wire.frame import data_bytes
 
 __all__ = ["compute_times_ns", "measure_compute"]
 

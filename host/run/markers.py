@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from coulombus.kernels.records import Records
 from coulombus.rigs.errors import nearest
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records
 
 __all__ = ["BitMark", "BitMarks", "StruckKeys", "bit_mark", "marker_of"]
 

@@ -11,11 +11,12 @@ from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.markers import BitMarks
 from coulombus.host.run.run import Run
+from coulombus.kernels.records import Records
 from coulombus.recording.host_telemetry import SOURCE_INSIDE
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.segments import SegmentedRecorder
 from coulombus.recording.wall_clock import meta_attachment, wall_clock
-from coulombus.wire.frame import Records, stations_of
+from coulombus.wire.frame import stations_of
 
 __all__ = ["Batch", "StampOrder", "begin_recording"]
 

@@ -11,13 +11,13 @@ inter-frame space later, at `free_ns`. If errors are possible, `start_frame` rep
 from __future__ import annotations
 
 from coulombus.kernels.decorator import inlined
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, Records, new_records
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL
 from coulombus.sim_bus.can_bus.records import INTER_FRAME_BITS, NS, STATION_MASK, BusRecord, Delivered, Stage
 from coulombus.sim_bus.can_bus.tx_queue import first_ns, first_order, hold, win
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.clock import NEVER_NS
-from coulombus.wire.frame import Queue, Records, new_records
+from coulombus.wire.frame import Queue
 
 __all__ = ["INTER_FRAME_BITS", "end_frame", "new_bus", "receives", "start_frame", "start_ns"]
 

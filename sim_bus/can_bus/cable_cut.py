@@ -20,14 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, Records
 from coulombus.sim_bus.can_bus.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.can_bus.noise import next_noise, seeded
 from coulombus.sim_bus.can_bus.records import MOST_TOLD, STATION_MASK, STATIONS, BusRecord, FaultRecord, Stage
 from coulombus.sim_bus.can_bus.stations import number, refresh
 from coulombus.sim_bus.can_bus.tx_queue import accept, first_ns, hold, withdraw
 from coulombus.wire.clock import NEVER_NS
-from coulombus.wire.frame import Queue, Records
+from coulombus.wire.frame import Queue
 
 __all__ = [
     "APART",

@@ -45,7 +45,7 @@ from coulombus.eds.reader import Description, read_eds
 from coulombus.host.cycle.records import LawFunction, PlaneFunctions
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.kernels.decorator import Entry
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, Records
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
@@ -73,15 +73,7 @@ from coulombus.sim_bus.rig.plant_step import CourseFunction, course_of
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
 from coulombus.system.stop_signals import InterruptsHeld
 from coulombus.wire.clock import NEVER_NS, own_ns, to_bus
-from coulombus.wire.frame import (
-    Queue,
-    Records,
-    data_bytes,
-    data_word,
-    frames,
-    new_queue,
-    push,
-)
+from coulombus.wire.frame import Queue, data_bytes, data_word, frames, new_queue, push
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.canopen_station import CanopenNetwork

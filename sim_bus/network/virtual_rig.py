@@ -18,7 +18,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.models import Models
 from coulombus.host.cycle.parameter_changes import OVER_S, Change, LiveParameters
 from coulombus.host.cycle.records import Trip
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, Records, new_records
 from coulombus.node.device import Device
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
@@ -36,7 +36,7 @@ from coulombus.sim_bus.rig.records import AXIS, NOT_BEGUN, PlantRecord, RigAxis
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.bus_link import BusFrame
 from coulombus.wire.clock import own_ns, set_clock
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 __all__ = ["VirtualRig"]
 

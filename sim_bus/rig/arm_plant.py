@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import kernel
-from coulombus.kernels.records import Floats, RecordArray
+from coulombus.kernels.records import Floats, RecordArray, new_records
 from coulombus.rigs.errors import RigError
 from coulombus.rigs.kinematics.kinematics_rules import SIMULATED
 from coulombus.rigs.rig import Rig
@@ -32,7 +32,6 @@ from coulombus.sim_bus.rig.plant import (
     settled,
 )
 from coulombus.sim_bus.rig.records import PlanePlantRecord, PlantRecord
-from coulombus.wire.frame import new_records
 
 __all__ = ["PLANE_COLUMNS", "advance_joints", "new_plane_plant"]
 

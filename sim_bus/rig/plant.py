@@ -54,13 +54,12 @@ from __future__ import annotations
 import math
 
 from coulombus.kernels.decorator import inlined, kernel
-from coulombus.kernels.records import Floats, RecordArray
+from coulombus.kernels.records import Floats, RecordArray, new_records
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Operator, Plant
 from coulombus.sim_bus.rig.detail import DETAIL_COLUMNS, detail_of
 from coulombus.sim_bus.rig.operator import drawn
 from coulombus.sim_bus.rig.records import PlantRecord
-from coulombus.wire.frame import new_records
 
 __all__ = [
     "COIL_INTACT",

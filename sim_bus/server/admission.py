@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 
 import numpy as np
 
-from coulombus.kernels.records import RecordArray
+from coulombus.kernels.records import RecordArray, new_records
 from coulombus.sim_bus.can_bus.cable_cut import SEVERAL, wire_of
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.can_bus.stations import attach, detach
@@ -21,7 +21,6 @@ from coulombus.sim_bus.server.records import SLOT, PaceRecord, SlotRecord
 from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.sim_bus.server.socket_file import peer
 from coulombus.wire.address import BusUnavailable
-from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import MAX_FILTERS, SEND_BUFFER, Answer, BusStatus, Flags, Hello
 from coulombus.wire.recvmsg import Mailbox, ask_for_stamps, set_up
 

@@ -33,14 +33,14 @@ import numpy.typing as npt
 
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.kernels.libc import POLLIN, ppoll_ns, read, write
-from coulombus.kernels.records import Integers, Records
+from coulombus.kernels.records import Integers, Records, new_records
 from coulombus.node.record import LOOP_WORDS, NODE
 from coulombus.sim_bus.network.event_loop import Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.rig.plant_step import CourseFunction
 from coulombus.sim_bus.server.records import JOBS, BesideRecord, PaceRecord
 from coulombus.wire.clock import NEVER_NS
-from coulombus.wire.frame import new_records, push
+from coulombus.wire.frame import push
 
 __all__ = ["FRAME", "RECORD", "Beside", "Worker", "drain_jobs", "drained", "enqueue", "take_results"]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.kernels.records import Records
 from coulombus.recording.recorder import PACED, About, Recorder
 from coulombus.recording.wall_clock import wall_clock
 from coulombus.rigs.rig import Rig
@@ -22,7 +23,7 @@ from coulombus.sim_bus.server.realtime_loop import Serve
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.wire.address import BusAddress
-from coulombus.wire.frame import Records, push
+from coulombus.wire.frame import push
 
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.script import ScriptEntry

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from coulombus.kernels.decorator import Entry
+from coulombus.kernels.records import new_records
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.adapter_socket import AdapterSocket
 from coulombus.sim_bus.server.admission import Admission
@@ -34,7 +35,6 @@ from coulombus.sim_bus.server.socket_file import locked, refuse_live, unlink_own
 from coulombus.system.realtime import RealTime, ask_for_real_time, bus_cpu
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.clock import NEVER_NS
-from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import Hello, greet
 from coulombus.wire.recvmsg import ask_for_stamps
 from coulombus.wire.socketcan import can_socket, is_virtual

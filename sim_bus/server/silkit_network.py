@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from coulombus.kernels.records import Records
 from coulombus.sim_bus.can_bus.fault_confinement import MANUAL
 from coulombus.sim_bus.can_bus.stations import attach, detach, restart
 from coulombus.sim_bus.network.network import TAP, VirtualNetwork
@@ -41,7 +42,7 @@ from coulombus.sim_bus.server.silkit_interface import (
     TransmitEvent,
 )
 from coulombus.wire.error_frames import BUS_OFF, CONTROLLER, RX_PASSIVE, TX_PASSIVE
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["SilKitNetwork"]
 

@@ -19,11 +19,12 @@ from coulombus.cli import emulate
 from coulombus.cli.errors import EXIT_STATUS, FAULT, STATUSES
 from coulombus.cli.main import main
 from coulombus.eds.regular_file import read_regular
+from coulombus.kernels.records import new_records
 from coulombus.lab.simulate import simulate
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.sim_bus.server.bridge import Result
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 from places import ROOT
 
 USAGE, CONFIGURATION, BUS = 2, 3, 4

@@ -16,8 +16,9 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.cli.main import main
+from coulombus.kernels.records import new_records
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 from places import ROOT
 from warm_start import Warm, WithoutStdout
 

@@ -10,9 +10,10 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.eds.regular_file import mode_of
+from coulombus.kernels.records import new_records
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.errors import nearest, number_hint
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 from places import RIGS, ROOT
 
 MISSING = "cannot be read (No such file or directory"

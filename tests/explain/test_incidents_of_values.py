@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from coulombus.explain.explanation_text import checks, detail_lines, screen
+from coulombus.kernels.records import new_records
 from coulombus.recording.host_telemetry import FIRST, SOURCE_INSIDE
 from coulombus.wire.can_flags import CAN_RTR_FLAG
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 from explain_log import DISABLED, ENABLED, Log, drive, machine, only
 
 

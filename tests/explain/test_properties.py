@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.explain_runs import outcome
+from cases import thorough
 from coulombus.eds.eds_folder import EdsFiles
 from coulombus.explain.explained import Explainer
 from coulombus.recording.maps.known_bus import KnownBus
@@ -109,7 +110,7 @@ def test_of_any_frames_the_blocks_change_nothing(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.thorough) for name in NAMES[1:4])])
+@pytest.mark.parametrize("name", [NAMES[0], *thorough(*NAMES[1:4])])
 def test_a_cut_log_tells_what_was_known_then(name):
     frames, files = run_of(name)
     whole = {clue[:3] for _, clues in told(explained(frames, files=files())) for clue in clues}

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.monitor import decode as module
 from coulombus.monitor.decode import as_text, rows, text_lines
 from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
@@ -14,7 +15,7 @@ from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text
 from coulombus.system.foreign_text import printable
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 COUNT = 3000
 

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.cli.main import main
+from coulombus.kernels.records import new_records
 from coulombus.monitor import timing as module
 from coulombus.monitor.pdo_text import as_lines as pdo_lines
 from coulombus.monitor.timing import Spread, Stamps, TimeCounts, Timing, as_lines, listen, recorded_bare, timing
@@ -21,7 +22,7 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
 from coulombus.system.stop_signals import StopSignals
 from coulombus.wire.address import parse_address
-from coulombus.wire.frame import CAN_ERR_FLAG, Frame, new_records
+from coulombus.wire.frame import CAN_ERR_FLAG, Frame
 from tiny_bus import tiny_bus
 
 MS = 1_000_000

@@ -10,6 +10,7 @@ import random
 import canopen
 import pytest
 
+from cases import thorough
 from coulombus.node.device import SDO_TIMEOUT_NS
 from node_bench import EDS, MS, Bench
 
@@ -476,7 +477,7 @@ _PIECES = tuple(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2, 3))])
+@pytest.mark.parametrize("seed", [0, *thorough(1, 2, 3)])
 def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed, monkeypatch):
     """Random downloads: gaps, repetitions, numbers that are none, pauses over the time-out,
     lengths, other requests.

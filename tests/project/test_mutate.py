@@ -91,7 +91,7 @@ LISTED = sorted({module for module, *_ in mutate.Equivalents(mutate.EQUIVALENTS)
 def test_the_targets_name_functions_and_tests_that_are_there(name):
     target = mutate.TARGETS[name]
     assert all(mutate._file(test) for test in target.tests)
-    assert Source(name, (ROOT / name).read_text(), target.units).lacking == []
+    assert Source(name, (ROOT / name).read_text(), target.functions).lacking == []
 
 
 @pytest.mark.parametrize("name", LISTED)

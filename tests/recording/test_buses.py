@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.explain.explained import explain
+from coulombus.kernels.records import new_records
 from coulombus.lab.replay.player import load_tape
 from coulombus.lab.simulate import simulate
 from coulombus.monitor.decode import bare_rows
@@ -24,7 +25,7 @@ from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.reading import blocks, read
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.wire.can_flags import CAN_ERR_FLAG
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 TPDO1, SYNC = 0x181, 0x80
 CYCLES = 20

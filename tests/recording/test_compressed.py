@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from coulombus.cli.main import main
+from coulombus.kernels.records import new_records
 from coulombus.lab.replay.player import load_tape
 from coulombus.recording.comparison import compare
 from coulombus.recording.logs import content as module
@@ -24,7 +25,7 @@ from coulombus.recording.pcapng_reader import iter_pcapng, read_pcapng
 from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import Recorder
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
 

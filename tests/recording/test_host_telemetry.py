@@ -10,6 +10,7 @@ import pytest
 
 from bench_recording import record
 from coulombus.host.cycle.records import Phase
+from coulombus.kernels.records import new_records
 from coulombus.lab.simulate import simulate
 from coulombus.monitor.tools.tool_files import tool_files
 from coulombus.recording.comparison import compare
@@ -33,7 +34,7 @@ from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
 

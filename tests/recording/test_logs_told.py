@@ -14,13 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from zstandard import ZstdCompressor
 
+from coulombus.kernels.records import new_records
 from coulombus.recording.export.logs import AscWriter, BlfWriter, CandumpWriter
 from coulombus.recording.log_files import LogError, read_log
 from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.reading import read
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes, data_word
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 START_NS = 1_700_000_000 * 10**9
 BATCH = 5  # rows that our writers get at a time

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording import reading as module
 from coulombus.recording.export.export import export
 from coulombus.recording.host_telemetry import FIRST, SOURCE_INSIDE
@@ -22,7 +23,7 @@ from coulombus.recording.segments import Rotation, SegmentedRecorder
 from coulombus.recording.signals import UnknownSignal, series
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import Rig, load_rig
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
 

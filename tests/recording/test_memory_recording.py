@@ -6,11 +6,12 @@ from dataclasses import asdict, fields
 
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.lab.simulate import simulate
 from coulombus.recording.measures import Measures, phases
 from coulombus.recording.memory_recording import MeasuredFrames
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 pytestmark = pytest.mark.slow
 

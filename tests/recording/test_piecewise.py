@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.recording import reading
 from coulombus.recording.comparison import CommonSpan, Tally, compare, pieces
 from coulombus.recording.difference import Pair
 from coulombus.recording.recorder import Recorder
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 pytestmark = pytest.mark.slow  # in plain Python each packet takes some microseconds
 

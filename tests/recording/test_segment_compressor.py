@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.recording import segment_compressor as module
 from coulombus.recording.folders import INDEX, PACKED, files_of, segments_of
 from coulombus.recording.pcapng_reader import iter_pcapng
@@ -22,7 +23,7 @@ from coulombus.recording.segment_compressor import compress, main, tidy
 from coulombus.recording.segments import Rotation, SegmentedRecorder
 from coulombus.rigs.rig import load_rig
 from coulombus.system.unfinished_file import unfinished
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 BATCH, BATCHES = 500, 12
 RIG = load_rig("bench")

@@ -17,6 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.cli.main import main
+from coulombus.kernels.records import new_records
 from coulombus.recording import segments as module
 from coulombus.recording.file_content import append_late
 from coulombus.recording.folders import runs, segments
@@ -27,7 +28,7 @@ from coulombus.recording.recorder import About
 from coulombus.recording.segments import Rotation, SegmentedRecorder, parse_rotation, parse_size, reserve
 from coulombus.recording.wall_clock import attached_object, clock_state, utc, wall_clock
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 STARTED_NS = 1_795_000_000 * 10**9
 RIG = load_rig("bench")

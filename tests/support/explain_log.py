@@ -7,10 +7,11 @@ from itertools import pairwise
 import numpy as np
 
 from coulombus.explain.explained import Explainer
+from coulombus.kernels.records import new_records
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.wire.can_flags import CAN_ERR_FLAG
 from coulombus.wire.data_word import data_word
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 MS = 1_000_000
 BEAT = 100

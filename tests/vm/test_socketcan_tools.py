@@ -10,9 +10,10 @@ import subprocess
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.wire.can_flags import CAN_EFF_FLAG
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 from places import ROOT
 from warm_start import Warm
 

@@ -34,9 +34,9 @@ from coulombus.analysis.theory.sampled_loop import LOOP, STATS, StatsRecord, run
 from coulombus.host.cycle.output_limits import motor_limit_Nm
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.kernels.decorator import Entry
+from coulombus.kernels.records import new_records
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
-from coulombus.wire.frame import new_records
 
 __all__ = ["DEFAULT_AXES", "LoopParameters", "OscillationMap", "PointResult", "oscillation_map", "simulate_point"]
 

@@ -25,6 +25,7 @@ from coulombus.host.cycle.replay import HostFrame, Inputs, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.plane.plane_laws import builtin_laws
 from coulombus.host.world.recorded import models_of
+from coulombus.kernels.records import Records
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.recording.reading import read
 from coulombus.recording.signals import Recording
@@ -32,7 +33,6 @@ from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpac
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.system.errors import CoulombusError
-from coulombus.wire.frame import Records
 
 __all__ = ["HostReplay", "ReplayDifference", "ReplayError", "host_replay"]
 

@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records
 from coulombus.recording.block import epoch_of
 from coulombus.recording.bus_match import BusMatch, Channel, channel_texts
 from coulombus.recording.file_content import remarks_on
@@ -25,7 +26,7 @@ from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.reading import captures
 from coulombus.wire.bits import data_frame_bits
 from coulombus.wire.client import BusFull, Client, pack_frame
-from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, Records, data_bytes
+from coulombus.wire.frame import CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["NOTHING", "Played", "Tape", "load_tape", "play"]
 

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.laws.plane.plane_laws import builtin_laws
+from coulombus.kernels.records import Records
 from coulombus.lab.replay.host_replay import ReplayError
 from coulombus.recording.frame_sender import senders
 from coulombus.recording.reading import read
@@ -34,7 +35,7 @@ from coulombus.sim_bus.can_bus.arbiter import INTER_FRAME_BITS
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.server.rig_server import PacedRig
 from coulombus.wire.bits import data_frame_bits
-from coulombus.wire.frame import Records, data_bytes, push
+from coulombus.wire.frame import data_bytes, push
 
 __all__ = ["VirtualReplay", "virtual_replay"]
 

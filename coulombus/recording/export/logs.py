@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from coulombus.kernels.records import Records
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.logs.stamps import WALL_CLOCK_NS
 from coulombus.recording.sample_groups import Array, Integers
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["AscWriter", "BlfWriter", "CandumpWriter"]
 

@@ -11,10 +11,11 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.kernels.records import Records, new_records
 from coulombus.recording.logs.stamps import LATEST_NS
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG
 from coulombus.wire.data_word import data_word
-from coulombus.wire.frame import Frame, Records, new_records
+from coulombus.wire.frame import Frame
 
 __all__ = [
     "BUS_ERROR",

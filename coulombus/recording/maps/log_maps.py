@@ -16,12 +16,12 @@ from coulombus.eds.own_devices import is_another
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.sdo_channel import SdoChannel
 from coulombus.eds.sdo_frames import where
+from coulombus.kernels.records import Records
 from coulombus.recording.maps.seen_maps import Field, Map, MappedNode, Objects, identified, maps_of
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.can_flags import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.data_word import data_bytes
-from coulombus.wire.frame import Records
 
 __all__ = ["LEARNED", "LogMaps", "pdo_without_map"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cases import thorough
 from coulombus.analysis.rig import display_errors
 from coulombus.analysis.rig.display_errors import Felt, FeltStudy, broke_away, felt_control, iron_of, slid
 from coulombus.lab.simulate import simulate
@@ -21,7 +22,7 @@ def bench():
     return load_rig("bench")
 
 
-@pytest.mark.parametrize("rate", [1.0, *(pytest.param(rate, marks=pytest.mark.thorough) for rate in (30.0, -30.0))])
+@pytest.mark.parametrize("rate", [1.0, *thorough(30.0, -30.0)])
 @pytest.mark.parametrize("F_s", [1.0, 4.0])
 def test_the_handle_breaks_away_at_F_s_to_2_percent(bench, F_s, rate):
     assert broke_away(felt_control(bench), F_s, rate) == pytest.approx(F_s, rel=0.02)

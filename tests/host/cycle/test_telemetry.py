@@ -6,6 +6,7 @@ import pytest
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.telemetry import write_axes, write_axis
+from coulombus.kernels.records import new_records
 from coulombus.recording.host_telemetry import (
     FIRST,
     MOST_FRAMES,
@@ -18,7 +19,7 @@ from coulombus.recording.host_telemetry import (
 )
 from coulombus.recording.pdo_columns import decode_field
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 
 def told(rig="bench", mode="hybrid", **fields):

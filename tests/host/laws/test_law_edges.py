@@ -12,7 +12,7 @@ import pytest
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.host.laws.laws import LAW, coulomb, karnopp, load_law
 from coulombus.host.laws.wall import wall
-from coulombus.wire.frame import new_records
+from coulombus.kernels.records import new_records
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
 

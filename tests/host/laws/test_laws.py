@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cases import thorough
 from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 from coulombus.host.laws.laws import BUILTIN_LAWS, LawError, coulomb, karnopp, load_law
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED
-from coulombus.wire.frame import new_records
+from coulombus.kernels.records import new_records
 
 K_P, F_S, F_D = 100.0, 1.2, 1.0
 OLD = "host.laws" + ":"  # how rig files named the laws at first
@@ -157,15 +158,13 @@ def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
         assert not list(CACHE_DIR.rglob("*guarded*"))
 
 
-@pytest.mark.parametrize("index", [15, -16, *(pytest.param(index, marks=pytest.mark.thorough) for index in (-1, 0))])
+@pytest.mark.parametrize("index", [15, -16, *thorough(-1, 0)])
 @pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
 def test_a_law_may_use_all_of_user(tmp_path, index, where):
     assert index_law(tmp_path, where, index) == 0.5
 
 
-@pytest.mark.parametrize(
-    "index", [16, -17, *(pytest.param(index, marks=pytest.mark.thorough) for index in (17, 40, -40))]
-)
+@pytest.mark.parametrize("index", [16, -17, *thorough(17, 40, -40)])
 @pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
 def test_a_law_that_writes_beyond_its_records_raises_and_touches_nothing(tmp_path, index, where):
     """It wrote into the memory behind: no number is what trips."""

@@ -23,9 +23,9 @@ from coulombus.host.laws.law import (
 )
 from coulombus.host.laws.laws import BUILTIN_LAWS, load_declared
 from coulombus.host.setup.law_demand import cut_off
+from coulombus.kernels.records import new_records
 from coulombus.rigs.field_help import unit_of
 from coulombus.rigs.rig import RigError, load_rig
-from coulombus.wire.frame import new_records
 
 NAMED = [name for name, law in BUILTIN_LAWS.items() if not law.uses_mode_keys]
 

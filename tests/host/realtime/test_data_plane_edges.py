@@ -28,12 +28,13 @@ from coulombus.host.realtime.data_plane import (
 )
 from coulombus.host.realtime.process import mark_trip
 from coulombus.host.realtime.shared_memory import BINS, PlaneCommand, PlaneRecord, PlaneStatus, SharedPlane
+from coulombus.kernels.records import new_records
 from coulombus.recording.reading import read
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import BusAddress
-from coulombus.wire.frame import frames, new_records
+from coulombus.wire.frame import frames
 
 ENDING_S, STEP_S = 0.25, 2.0**-9
 PID = 4321

@@ -23,13 +23,14 @@ from coulombus.host.run import realtime_sequence
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
 from coulombus.host.run.real_run import real_run
 from coulombus.host.run.run import Outputs, Run
+from coulombus.kernels.records import new_records
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
 from coulombus.recording.trace import TraceRow
 from coulombus.rigs.rig import load_rig
 from coulombus.system import stop_signals
 from coulombus.wire.address import BusUnavailable, parse_address
-from coulombus.wire.frame import frames, new_records
+from coulombus.wire.frame import frames
 from fault_shim import Shim
 
 pytestmark = pytest.mark.usefixtures("private_sockets")

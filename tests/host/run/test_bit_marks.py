@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.run.markers import BitMark, BitMarks, bit_mark
+from coulombus.kernels.records import new_records
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, new_records
+from coulombus.wire.frame import Frame
 
 RIG = load_rig("bench")
 

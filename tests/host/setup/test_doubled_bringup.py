@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from cases import thorough
 from coulombus.host.errors import AnswerUntrusted, NodeMissing
 from coulombus.host.setup.bringup import bring_up
 from coulombus.rigs.rig import load_rig
@@ -45,9 +46,7 @@ def brought_up(world):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "again_ns", [20_000, *(pytest.param(again_ns, marks=pytest.mark.thorough) for again_ns in (0, 150_000))]
-)
+@pytest.mark.parametrize("again_ns", [20_000, *thorough(0, 150_000)])
 def test_bring_up_with_any_frame_doubled_is_what_it_is(again_ns):
     plain = Doubling((), again_ns)
     assert brought_up(plain) == ()

@@ -20,13 +20,14 @@ from click.testing import CliRunner
 
 from coulombus.cli.main import main
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
+from coulombus.kernels.records import new_records
 from coulombus.monitor.tools.tool_files import tool_files
 from coulombus.recording.logs.mf4 import ready
 from coulombus.recording.maps.known_bus import KnownBus
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, data_word, new_records
+from coulombus.wire.frame import Frame, data_word
 from foreign_rigs import brake, drive, rig_of
 
 RIGS = {

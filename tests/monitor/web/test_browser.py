@@ -9,10 +9,11 @@ from coulombus.wire.frame import Frame
 pytest.importorskip("tornado", reason="the page needs Tornado: pip install -e '.[web]'")
 
 from chromium import CHROMIUM, Browser
+from coulombus.kernels.records import new_records
 from coulombus.monitor.web.reader import CurveReader
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
-from coulombus.wire.frame import data_word, new_records
+from coulombus.wire.frame import data_word
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 pytestmark = [

@@ -16,12 +16,13 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from chromium import CHROMIUM, Browser
 from coulombus.cli.main import main
 from coulombus.explain.explained import explain
+from coulombus.kernels.records import new_records
 from coulombus.monitor.web.recording_page import PIECES, RecordingPage, recording_application
 from coulombus.monitor.web.server import listening
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import Frame, data_word, new_records
+from coulombus.wire.frame import Frame, data_word
 from web_bench import BEGIN_NS, MS, TOKEN, cycles
 
 MILLISECONDS, FAULT = 4000, 3000

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.sim_bus.rig.arm_plant import PLANE_COLUMNS, advance_joints, new_plane_plant
 from coulombus.sim_bus.rig.plane_hand import PlaneHand, drawn_hand
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS, new_plant
 from coulombus.sim_bus.rig.records import PlantRecord
-from coulombus.wire.frame import new_records
 
 COLUMNS = (*TRUTH_COLUMNS, *PLANE_COLUMNS)
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.io401 import IO401, IO404
@@ -18,7 +19,6 @@ from coulombus.sim_bus.faults.injection import stations_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity, brake_torque, show
 from coulombus.sim_bus.rig.records import PlantRecord, RigAxis
-from coulombus.wire.frame import new_records
 from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, geared, with_array, with_variable, without
 from node_bench import MS
 from places import RIGS

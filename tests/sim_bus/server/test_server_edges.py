@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from coulombus.kernels.records import new_records
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server import admission as module
@@ -20,7 +21,6 @@ from coulombus.sim_bus.server.records import PaceRecord
 from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.sim_bus.server.socket_file import locked, refuse_live, unlink_own
 from coulombus.wire.address import BusUnavailable, parse_address
-from coulombus.wire.frame import new_records
 from coulombus.wire.handshake import SEND_BUFFER, Answer, BusStatus, Flags, Hello
 
 ADDRESS = parse_address("coulombus:desk")
