@@ -91,7 +91,7 @@ class Buffers(NamedTuple):
     overflows: Integers  # frames that each bus' socket has dropped
     poll: Integers
     out: Queue
-    told: RecordArray[Frame]  # telemetry frames of one axis (`host.cycle.telemetry`)
+    telemetry: RecordArray[Frame]  # frames of one axis (`host.cycle.telemetry`)
     world_fd: int  # socket for the states of each cycle (`host.world.server`); -1: none
     world_state: RecordArray[StateRecord]  # the state that is sent, one record
 

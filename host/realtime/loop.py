@@ -79,8 +79,8 @@ END_ATTEMPTS = 20  # for the last set-points, which no cycle repeats
 def _log_telemetry(b: Buffers, t_ns: int) -> None:
     """Log the telemetry of all axes, after the frames of their cycle."""
     for k in range(b.axes.shape[0]):
-        for i in range(write_axis(b.axes[k], k, t_ns, b.told, 0)):
-            f = b.told[i]
+        for i in range(write_axis(b.axes[k], k, t_ns, b.telemetry, 0)):
+            f = b.telemetry[i]
             log_frame(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
 
 

@@ -70,7 +70,7 @@ def new_buffers(fds: Sequence[int], shared: SharedPlane, world_fd: int = -1) -> 
         overflows=np.zeros(len(fds), np.int64),
         poll=np.zeros(len(fds), np.int64),
         out=new_queue(),
-        told=new_records(Frame, MOST_FRAMES),
+        telemetry=new_records(Frame, MOST_FRAMES),
         world_fd=world_fd,
         world_state=new_records(StateRecord),
     )
