@@ -5,9 +5,11 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.cycle.output_limits import (
+    brake_bears_motor,
     brake_end_Nm,
     brake_limit,
     brake_limit_raw,
+    law_pushes,
     motor_limit,
     motor_limit_Nm,
     scale_Nm,
@@ -54,6 +56,23 @@ def test_the_rig_files_limit_is_the_limit_where_it_is_lower(mode):
 @pytest.mark.parametrize(("law", "limit_Nm"), [(WALL, 1.0), ((MINE,), 0.168), (("law.function=lugre",), 0.168)])
 def test_only_a_law_of_ours_that_pushes_has_the_rig_files_limit_in_hybrid(law, limit_Nm):
     assert motor_limit_Nm(axis_of("mode.hybrid.motor_limit_Nm=1.0", *law), "hybrid") == pytest.approx(limit_Nm)
+
+
+@pytest.mark.parametrize(
+    ("law", "pushes"),
+    [("wall", True), ("karnopp", False), ("plane_wall", True), ("plane_karnopp", False), ("mine.py:law", False)],
+)
+def test_a_law_pushes_on_an_axis_and_in_the_plane(law, pushes):
+    rig = load_rig("plane" if law.startswith("plane") else "bench", [f"law.function={law}"])
+    assert law_pushes(rig.axes[0]) is pushes
+
+
+@pytest.mark.parametrize("of", ["joint", "world"])
+def test_a_joint_and_a_world_have_the_rig_files_limit_in_hybrid(of):
+    others = ['world.rest="law"'] if of == "world" else []
+    axis = load_rig("plane" if of == "joint" else "bench", ["mode.hybrid.motor_limit_Nm=1.0", *others]).axes[0]
+    assert not law_pushes(axis)
+    assert motor_limit_Nm(axis, "hybrid") == 1.0
 
 
 @pytest.mark.parametrize("polarity", [1, -1])
@@ -108,3 +127,9 @@ def test_no_point_of_a_table_is_above_what_the_object_takes(last, taken):
     else:
         with pytest.raises(RigError, match="raw counts from 0 to 5000, which 7300h:01 takes"):
             brake_limit_raw(axis)
+
+
+@pytest.mark.parametrize(("motor_Nm", "bears"), [(1.999, True), (2.0, True), (2.001, False)])
+def test_a_brake_bears_a_motor_that_is_no_stronger(motor_Nm, bears):
+    axis = axis_of(f"mode.active.motor_limit_Nm={motor_Nm}", "limits.brake_torque_Nm=2.0")
+    assert brake_bears_motor(axis, "active") is bears

@@ -11,6 +11,7 @@ from coulombus.recording.host_telemetry import (
     FIRST,
     MOST_FRAMES,
     NAME,
+    OF_WORLD,
     PER_AXIS,
     SOURCE_INSIDE,
     Limit,
@@ -174,3 +175,68 @@ def test_what_a_law_keeps_fills_frames_of_two_numbers(keeps, lengths):
     assert rows["can_id"][2 : 2 + count].tolist() == [FIRST + k for k in range(count)]
     found = rows["word"][5 : 2 + count].copy().view(np.float32).tolist()
     assert found == ([k - 7.5 for k in range(keeps)] + [0.0] * (keeps % 2))
+
+
+# a world outside
+
+
+def of_world():
+    """Return controllers of a rig with a world, whose first axis has finished a cycle."""
+    controllers = Controllers(load_rig("bench", overrides=['world.rest="law"']), "active")
+    controllers.axes[0].host.cycle = 1
+    return controllers, controllers.axes[0]
+
+
+def test_what_a_world_gives_has_its_names_and_two_frames_behind_the_others():
+    controllers, axis = of_world()
+    assert axis.world.on == 1
+    for name, value in {
+        "world_Nm": 1.5,
+        "world_brake_Nm": 2.5,
+        "share": 0.25,
+        "law_share": 0.5001,
+        "taken": (1 << 32) + 0x89ABCDEF,
+    }.items():
+        axis.world[name] = value
+    rows = new_records(Frame, MOST_FRAMES + 2)
+    assert write_axis(axis, 0, 5, rows, 2) == 7
+    assert rows["can_id"][2:].tolist()[:5] == [FIRST + k for k in (0, 1, 2, OF_WORLD, OF_WORLD + 1)]
+    assert rows["length"][2:7].tolist() == [8] * 5
+    assert set(rows["t_ns"][2:7].tolist()) == {5}
+    axis.host.cycle = 2
+    assert {name: value for name, value in said(controllers, axis).items() if "world" in name or "share" in name} == {
+        "host.world_Nm": [-1.5],
+        "host.world_brake_Nm": [2.5],
+        "host.world_share": [0.25],
+        "host.law_share": [pytest.approx(0.5001)],
+        "host.world_model": [0x89ABCDEF],
+    }
+
+
+def test_a_world_of_nothing_is_told_as_nothing():
+    """Without a minus before the 0, as a reader of the frames has it."""
+    _, axis = of_world()
+    rows = new_records(Frame, MOST_FRAMES)
+    assert write_axis(axis, 0, 5, rows, 0) == 5
+    assert rows["word"][3:5].tolist() == [0, 10000 << 16]
+
+
+@pytest.mark.parametrize(("on", "seen"), [(1, [0, Limit.WORLD_CLIPPED, Limit.WORLD_CLIPPED, 0]), (0, [0, 0, 0, 0])])
+def test_what_a_world_asked_for_in_vain_shows_in_the_cycle_in_which_a_limit_acted(on, seen):
+    controllers, axis = of_world()
+    axis.host.deadman_ok, axis.world.on = 1, on
+    found = []
+    for cycle in range(1, 5):
+        axis.host.cycle = cycle
+        axis.world.clipped += cycle in (2, 3)
+        found += said(controllers, axis)["host.limits"]
+    assert found == seen
+
+
+def test_the_limits_of_the_host_and_of_its_world_show_together():
+    controllers, axis = of_world()
+    axis.host.deadman_ok = axis.host.clipped_torque = axis.world.clipped = 1
+    axis.host.position_age, axis.host.gain, axis.state.stuck = 3, 0.5, 1
+    found = said(controllers, axis)
+    assert found["host.limits"] == [Limit.WORLD_CLIPPED | Limit.TORQUE_CLIPPED]
+    assert (found["host.gain"], found["host.stuck"], found["host.position_age"]) == ([0.5], [1], [3])

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from coulombus.host.cycle.output_limits import torque_step_Nm
-from coulombus.host.setup.law_demand import check_demand, cut_off
+from coulombus.host.plane.plane_host import load_plane
+from coulombus.host.setup.law_demand import check_demand, cut_off, meanings_of
+from coulombus.rigs.kinematics.pose_kernels import condition
 from coulombus.rigs.rig import load_rig, load_rig_text
 from eds_edit import edit
 from places import RIGS, ROOT
@@ -101,3 +103,68 @@ def test_a_start_as_near_to_singular_as_is_allowed_is_not_refused():
             assert f"kinematics.start_rad: the Jacobian's condition is {found:.2g} there" in text[0]
             line = next(k for k, row in enumerate(rig.text.splitlines(), 1) if row.startswith("start_rad"))
             assert text[0].startswith(f"{rig.path}:{line}: ")
+
+
+def test_a_bound_in_the_plane_that_is_just_kept_is_kept():
+    """The start at the least condition, and a force that is exactly the weakest joint's torque."""
+    rig = load_rig("plane")
+    pose = load_plane(rig, "passive").mechanism.pose(*rig.kinematics.start_rad)
+    length_m = math.hypot(*(float(row[0]) for row in pose["jacobian"]))
+    limit_Nm = 4.5 + rig.axes[0].mechanics.friction_Nm
+    about_N = limit_Nm / length_m
+    forces_N = about_N, math.nextafter(about_N, 0.0), math.nextafter(about_N, math.inf)
+    force_N = next(force_N for force_N in forces_N if force_N * length_m == limit_Nm)
+    least = f"kinematics.least_condition={float(condition(pose))!r}"
+    assert cut_off(load_rig("plane", [least, f"law.plane_karnopp.F_s_N={force_N!r}"]), "passive") == []
+
+
+# what a limit means at the handle
+
+
+def meant(mode, *overrides):
+    return dict(text.split(": ", 1) for text in meanings_of(axis_of(*overrides), mode))
+
+
+RATE, FALL, OLD = "limits.torque_rate_Nm_s", "limits.brake_fall_Nm_s", "limits.safe_brake_Nm"
+
+
+@pytest.mark.parametrize(
+    ("rate_Nm_s", "meaning"),
+    [
+        (250, "mode active reverses 0.5 Nm in 4 ms"),
+        (999, "mode active reverses 0.5 Nm in 1 ms"),
+        (1000, "mode active reverses 0.5 Nm in 1 ms: it never acts, a cycle is 1 ms"),
+        (4000, "mode active reverses 0.5 Nm in 0.25 ms: it never acts, a cycle is 1 ms"),
+    ],
+)
+def test_a_rate_of_the_motor_says_how_long_a_reversal_takes(rate_Nm_s, meaning):
+    assert meant("active", "mode.active.motor_limit_Nm=0.5", f"{RATE}={rate_Nm_s}") == {
+        RATE: meaning,
+        "mode.active.motor_limit_Nm": "it moves a free handle by 0.2 rad/s in a cycle",
+    }
+
+
+def test_a_motor_and_a_brake_of_nothing_have_no_meaning():
+    assert meant("active", "mode.active.motor_limit_Nm=0.0") == {}
+    assert meant("passive", "limits.brake_torque_Nm=0.0", "mode.passive.motor_limit_Nm=0.0") == {}
+
+
+@pytest.mark.parametrize(
+    ("torque_Nm", "fall_Nm_s", "meaning"),
+    [
+        (4.5, 90, "the law lets 4.5 Nm go in 50 ms"),
+        (0.5, 499, "the law lets 0.5 Nm go in 1 ms"),
+        (0.5, 500, "the law lets 0.5 Nm go in 1 ms: it never acts, a cycle is 1 ms"),
+        (0.5, 2000, "the law lets 0.5 Nm go in 0.25 ms: it never acts, a cycle is 1 ms"),
+    ],
+)
+def test_a_fall_of_the_brake_says_how_long_it_lets_go(torque_Nm, fall_Nm_s, meaning):
+    limits = f"limits.brake_torque_Nm={torque_Nm}", f"{FALL}={fall_Nm_s}"
+    assert meant("passive", *limits) == {FALL: meaning}
+    assert meant("hybrid", *limits)[FALL] == meaning
+    assert FALL not in meant("active", *limits)
+
+
+def test_a_key_of_an_older_version_is_named():
+    assert meant("passive", f"{OLD}=0.0")[OLD] == "it is of version 0.2 and without effect; delete it"
+    assert OLD not in meant("passive")

@@ -24,12 +24,14 @@ class Client:
     def __init__(self, kind="coulombus"):
         self.address, self.waiting, self.sent, self.error = BusAddress(kind, "x"), [], [], None
         self.lost, self.malformed, self.held = 0, 0, False
+        self.stamps_ns = []  # of what was sent
 
     def receive(self):
+        """Frames, each received 100 ns after the one before it."""
         if self.error:
             raise self.error
         found, self.waiting = self.waiting, []
-        return [(0, *frame) for frame in found]
+        return [(100 * k, *frame) for k, frame in enumerate(found)]
 
     def hold(self, held):
         self.held = held
@@ -38,6 +40,7 @@ class Client:
         if self.error:
             raise self.error
         self.sent.append([can_id for can_id, _, _ in CAN_FRAME.iter_unpack(message)])
+        self.stamps_ns.append(stamp_ns)
 
 
 def way(between=None, ranges=(), room=QUEUE_FRAMES, kind="coulombus"):
@@ -133,6 +136,29 @@ def test_a_frame_that_is_delayed_less_overtakes():
     assert sink.sent == [[2, 4]]
     one.give(13 * MS)
     assert sink.sent == [[2, 4], [3, 1]]
+
+
+def test_a_message_has_the_time_at_which_its_first_frame_came_and_the_delay():
+    delays = iter([0, 0, 2 * MS, 2 * MS])
+    one, source, sink = way(lambda given: [(next(delays), given)])
+    source.waiting = [frame(k) for k in (1, 2, 3, 4)]
+    one.receive(0)
+    one.give(2 * MS - 1)
+    one.give(2 * MS)
+    assert (sink.sent, sink.stamps_ns) == ([[1, 2], [3, 4]], [0, 200 + 2 * MS])
+
+
+@pytest.mark.parametrize(("room", "most"), [(4, 2), (5, 2)])
+def test_a_bus_is_held_while_more_than_half_of_the_room_waits(room, most):
+    delays = iter([0, MS, 2 * MS, 3 * MS])
+    one, source, _ = way(lambda given: [(next(delays), given)], room=room)
+    for count in range(1, 5):
+        source.waiting = [FRAME]
+        one.receive(0)
+        assert source.held == (count > most)
+    for gone in range(1, 5):
+        one.give((gone - 1) * MS)
+        assert source.held == (4 - gone > most)
 
 
 @pytest.mark.parametrize("flag", [0, CAN_RTR_FLAG])
