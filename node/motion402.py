@@ -62,8 +62,8 @@ POSITION_MODES = (
     cia402.OPERATION_MODE_INTERPOLATED_POSITION,
     cia402.OPERATION_MODE_CSP,
 )
-MODES = (0, *POSITION_MODES, _VELOCITY, _TORQUE, _CSV, _CST)
-"""Allowed values of 6060h, where 6502h and the objects of the file have them."""
+MODES = (*POSITION_MODES, _VELOCITY, _TORQUE, _CSV, _CST)
+"""Modes of 6060h that a drive can have: those of 6502h for which its file has the objects."""
 
 SLOW, QUICK, _TO_ZERO = constant(1), constant(2), constant(3)
 """Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in

@@ -30,13 +30,11 @@ from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
 from coulombus.eds.codec import nearest_integer
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import emcy, homing402, motion402, servo402, slots, slots402
-from coulombus.node.motion402 import MODES
 from coulombus.node.record import NodeRecord
 from coulombus.wire.frame import Queue
 
 __all__ = [
     "ALL_MODES",
-    "MODES",
     "OPTION_CODES",
     "actuate",
     "connection_lost",
@@ -64,7 +62,7 @@ OPTION_CODES: Mapping[int, tuple[int, ...]] = {
 but the trapezoid (6086h) and no interpolation but the linear (60C0h).
 """
 
-ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
+ALL_MODES = sum(1 << (mode - 1) for mode in motion402.MODES)
 """Value of 6502h: modes that the drive supports."""
 
 _CST, _CSP = cia402.OPERATION_MODE_CST, cia402.OPERATION_MODE_CSP

@@ -46,6 +46,7 @@ ARITHMETIC: dict[type, type] = {
     ast.BitXor: ast.BitAnd,
 }
 
+FUNCTION_OR_CLASS = ast.FunctionDef | ast.ClassDef
 DROPPED_CALLS = ("abs", "round")
 CLAMPS = {"min": "max", "max": "min"}
 LARGE = 100.0
@@ -227,19 +228,18 @@ class Source:
             undo()
 
     def _code(self, unit: str) -> Any:
-        code = find_code(self.compiled(), unit)
-        return _signature(code) if unit else (_signature(code), ast.dump(self._constants_only()))
+        if not unit:
+            return _signature(self.compiled()), ast.dump(self._constants_only())
+        head = unit.partition(".")[0]
+        own = [node for node in self.tree.body if isinstance(node, FUNCTION_OR_CLASS) and node.name == head]
+        return _signature(find_code(compile(ast.Module(own, []), self.path, "exec"), unit))
 
     def _constants_only(self) -> ast.Module:
         return ast.Module([node for node in self.tree.body if isinstance(node, ast.Assign)], [])
 
     def compiled(self) -> CodeType:
         """Return the module's code as the tree is now."""
-        for node in ast.walk(self.tree):
-            if isinstance(node, ast.expr | ast.stmt) and not hasattr(node, "lineno"):
-                node.lineno = node.end_lineno = 1
-                node.col_offset = node.end_col_offset = 0
-        return compile(ast.fix_missing_locations(self.tree), self.path, "exec")
+        return compile(self.tree, self.path, "exec")
 
     def _walk_module(self) -> Iterator[Mutant]:
         for node in self.tree.body:
@@ -290,8 +290,7 @@ class Source:
     def _mutant(
         self, parent: ast.AST, field: str, index: int | None, old: ast.AST, operator: str, new: ast.AST
     ) -> Mutant:
-        new = copy.copy(new)
-        ast.copy_location(new, old)
+        new = ast.fix_missing_locations(ast.copy_location(copy.copy(new), old))
         line = getattr(old, "lineno", self._statement.start)
         after = "deleted" if isinstance(new, ast.Pass) else ast.unparse(new)
         text = self.lines[line - 1].strip()

@@ -9,8 +9,8 @@ import math
 import pytest
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD
-from coulombus.node import emcy, motion402, slots, slots402, states402
-from coulombus.node.drive402 import DRIVE402
+from coulombus.node import emcy, motion402, servo402, slots, slots402, states402
+from coulombus.node.drive402 import DRIVE402, _apply
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
 from coulombus.wire.clock import NEVER_NS
@@ -435,3 +435,155 @@ def test_the_statuswords_single_bits(state, bits):
     for name, value in state.items():
         setattr(n, name, value)
     assert statusword(n) == STATUSWORD[OE] | bits
+
+
+# position modes
+
+PROFILE, HOMING, INTERPOLATED, CSP, CSV, CST = 1, 6, 7, 8, 9, 10
+FOLLOWING_LOST, BLOCKED, OTHER = (
+    1 << (cause - emcy.FIRST_DEVICE_CAUSE) for cause in (emcy.FOLLOWING, emcy.BLOCKED, emcy.ENCODER)
+)
+
+
+def servo(mode, **values):
+    """A servo drive at 70 counts that is enabled in `mode`, holds them, and has got set-points."""
+    n = drive(OE, 0, **values)
+    n.servo, n.modes, n.mode, n.values[slots402.MODE], n.controlword = servo402.servo_address(), 0x3ED, mode, mode, 15
+    n.in_position_counts = n.position_demand = n.target_counts = 70
+    n.position_kp, n.speed_kp, n.period_ns, n.cyclic_ns = 10.0, 0.25, 4_000_000, T
+    v = n.values
+    v[slots402.FOLLOWING_WINDOW] = v[slots402.POSITION_WINDOW] = slots402.NO_WINDOW
+    v[slots402.MAX_VELOCITY] = v[slots402.PROFILE_VELOCITY] = 10**6
+    v[slots402.ACCELERATION] = v[slots402.DECELERATION] = 10**6
+    return n
+
+
+def test_a_drive_begins_without_a_home_position_and_probes():
+    n = servo(HOMING, PROBE_STATUS=3)
+    n.homing, n.zero_counts, n.probe_function = motion402.HOMED, 30, 17
+    states402.start(n, T)
+    assert (n.homing, n.zero_counts, n.probe_function, n.values[slots402.PROBE_STATUS]) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("before", [0, FOLLOWING_LOST, BLOCKED, FOLLOWING_LOST | BLOCKED])
+@pytest.mark.parametrize(
+    ("lost", "stalled_s", "found"),
+    [
+        (0, 0.0, 0),
+        (1, 0.0, FOLLOWING_LOST),
+        (0, 0.5, BLOCKED),
+        (0, 0.499, 0),
+        (1, 9.0, FOLLOWING_LOST | BLOCKED),
+    ],
+)
+def test_a_lost_and_a_blocked_position_are_detected_and_released(before, lost, stalled_s, found):
+    n = servo(CSP)
+    n.detected, n.following_lost, n.stalled_s = before | OTHER, lost, stalled_s
+    states402.detect(n, T)
+    assert n.detected == found | OTHER
+
+
+@pytest.mark.parametrize(
+    ("detected", "lost", "stalled_s", "soon"),
+    [
+        (0, 0, 0.0, False),
+        (FOLLOWING_LOST, 1, 0.0, False),
+        (FOLLOWING_LOST, 0, 0.0, True),
+        (BLOCKED, 0, 0.5, False),
+        (BLOCKED, 0, 0.0, True),
+        (0, 1, 0.5, False),
+        (OTHER, 0, 0.0, False),
+        (FOLLOWING_LOST | BLOCKED, 0, 0.5, True),
+        (FOLLOWING_LOST | BLOCKED, 1, 1.0, False),
+    ],
+)
+def test_a_cause_that_is_gone_is_released_at_once(detected, lost, stalled_s, soon):
+    n = servo(CSP)
+    n.detected, n.following_lost, n.stalled_s, n.demand_ns = detected, lost, stalled_s, T
+    assert states402.next_deadline(n, T + 9) == (T if soon else T + 9)
+    assert states402.next_deadline(n, T - 9) == T - 9
+
+
+@pytest.mark.parametrize(("before", "taken"), [(0x0F, True), (0x1F, False)])
+def test_a_position_is_taken_by_the_rising_edge_of_bit_4(before, taken):
+    n, out = servo(PROFILE, TARGET_POSITION=500), new_queue()
+    n.controlword, n.values[slots402.CONTROLWORD] = before, 0x1F
+    states402.new_controlword(n, T, out)
+    assert (n.acknowledged, n.target_counts) == ((1, 500.0) if taken else (0, 70.0))
+
+
+@pytest.mark.parametrize("mode", [PROFILE, HOMING, INTERPOLATED, CSP, CSV, CST])
+@pytest.mark.parametrize("acts", [slots402.ACTS_TORQUE, slots402.ACTS_SPEED, slots402.ACTS_POSITION])
+def test_a_cyclic_position_is_the_set_point_of_its_modes_alone(mode, acts):
+    n = servo(mode, TARGET_POSITION=500, INTERPOLATED_POSITION=500)
+    n.setpoint_armed, n.setpoint_stale, n.controlword = 0, 1, 0x1F
+    states402.new_setpoint(n, T + 9, acts)
+    cyclic = {INTERPOLATED: slots402.ACTS_POSITION, CSP: slots402.ACTS_POSITION}
+    taken = {CSV: slots402.ACTS_SPEED, CST: slots402.ACTS_TORQUE, **cyclic}.get(mode) == acts
+    assert (n.setpoint_armed, n.setpoint_stale) == ((1, 0) if taken else (0, 1))
+    is_position = taken and mode in cyclic
+    assert (n.target_counts, n.cyclic_ns) == ((500.0, T + 9) if is_position else (70.0, T))
+
+
+@pytest.mark.parametrize(("mode", "follows"), [(CSP, True), (CST, False)])
+def test_a_servo_drive_follows_its_position_in_a_position_mode_only(mode, follows):
+    n = servo(mode, TARGET_TORQUE=300)
+    n.position_demand = n.target_counts = n.profile_from = n.profile_to = 90.0
+    out = torque(n, T + 1_000_000)
+    assert out == (pytest.approx(0.25 * 10.0 * 20) if follows else 300)
+
+
+@pytest.mark.parametrize(("guarded", "sync_armed", "watched"), [(1, 0, 1), (1, 1, 0), (0, 0, 0), (0, 1, 0)])
+def test_a_limit_of_position_or_speed_is_watched_where_no_sync_does(guarded, sync_armed, watched):
+    n = drive(OE, 300)
+    n.guarded, n.sync_armed = guarded, sync_armed
+    torque(n)
+    assert n.ramping == watched
+
+
+@pytest.mark.parametrize("counts", [70, 2**31 + 70, -(2**31) - 1])
+def test_the_internal_position_wraps_and_the_users_is_from_home(counts):
+    n = servo(CSP)
+    n.in_position_counts, n.zero_counts = counts, 30
+    states402.sample(n)
+    wrapped = (counts + 2**31) % 2**32 - 2**31
+    assert n.values[slots402.INTERNAL_POSITION] == wrapped
+    assert n.values[slots402.POSITION] == (counts - 30 + 2**31) % 2**32 - 2**31
+    n.servo = 0
+    states402.sample(n)
+    assert n.values[slots402.POSITION] == n.values[slots402.POSITION_DEMAND] == wrapped
+
+
+@pytest.mark.parametrize(
+    ("mode", "state", "lost", "bits"),
+    [
+        (CSP, OE, 0, FOLLOWS),
+        (CSP, OE, 1, FOLLOWS | 0x2000),
+        (CSP, SO, 1, 0),
+        (CSP, QSA, 1, REACHED),
+        (CST, OE, 1, FOLLOWS),
+        (CSV, OE, 1, FOLLOWS),
+    ],
+)
+def test_a_position_modes_bits_are_of_the_enabled_drive(mode, state, lost, bits):
+    n = servo(mode, TARGET_VELOCITY=500)
+    n.power_state, n.following_lost = state, lost
+    assert statusword(n) == STATUSWORD[state] | VOLTAGE | REMOTE | bits
+    n.servo = 0
+    if mode == CSP and state == OE:  # no part says it
+        assert statusword(n) == STATUSWORD[state] | VOLTAGE | REMOTE
+
+
+@pytest.mark.parametrize("carries", range(32))
+@pytest.mark.parametrize("has_servo", [True, False])
+def test_an_rpdo_acts_by_what_it_carries(carries, has_servo):
+    n, out = servo(CSP, TARGET_POSITION=500, PROBE_FUNCTION=0x11, CONTROLWORD=0x07), new_queue()
+    n.setpoint_armed = n.probe_function = 0
+    if not has_servo:
+        n.servo, n.mode = 0, CST
+    _apply(n, T + 9, T + 3, carries, out)
+    by = slots402.ACTS_POSITION if has_servo else slots402.ACTS_TORQUE
+    assert (n.setpoint_armed, n.setpoint_ns) == ((1, T + 3) if carries & by else (0, T))
+    assert n.target_counts == (500.0 if has_servo and carries & slots402.ACTS_POSITION else 70.0)
+    assert n.probe_function == (0x11 if has_servo and carries & slots402.ACTS_PROBE else 0)
+    assert n.power_state == (SO if carries & slots402.ACTS_CONTROLWORD else OE)

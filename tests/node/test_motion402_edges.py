@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from coulombus.node import motion402, slots, slots402
+from coulombus.node import homing402, motion402, slots, slots402
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.kinds import number
 from coulombus.node.record import new_nodes
@@ -20,7 +20,8 @@ SLOTS = vars(slots) | vars(slots402)
 T = 5_000_000_000
 MS = 1_000_000
 OE, QSA, FAULT = 4, 5, 7
-VELOCITY, TORQUE, CSV, CST = 3, 4, 9, 10
+POSITION, VELOCITY, TORQUE, HOMING, INTERPOLATED, CSP, CSV, CST = 1, 3, 4, 6, 7, 8, 9, 10
+POSITIONS = POSITION, HOMING, INTERPOLATED, CSP
 SLOW, QUICK, TO_ZERO = 1, 2, 3
 BOTH = pytest.mark.parametrize("sign", [1, -1])
 LOWEST, HIGHEST = -(2**31), 2**31 - 1
@@ -625,3 +626,179 @@ def test_a_slope_of_one_per_mille_a_second_has_an_end():
     assert motion402.next_deadline(n, NEVER_NS) == T + 8000 * MS + 1
     n.torque_demand_pm = 800.0
     assert motion402.next_deadline(n, NEVER_NS) == T + 100_000 * MS + 1  # looked at again
+
+
+# position modes
+
+
+@pytest.mark.parametrize("mode", range(-3, 12))
+def test_a_mode_holds_a_position_or_does_not_and_none_of_the_makers_own_does(mode):
+    n = drive(mode)
+    assert motion402.is_position_mode(n) == (mode in POSITIONS)
+    n.vendor_mode = mode
+    assert not motion402.is_position_mode(n)
+
+
+@pytest.mark.parametrize("mode", [1, 32])
+def test_the_first_and_the_last_mode_of_6502h_are_taken(mode):
+    n = drive(TORQUE, MODE=mode)
+    n.modes = 1 << (mode - 1)
+    motion402.change_mode(n, T)
+    assert n.mode == mode
+
+
+def test_a_velocity_is_in_the_units_of_60A9h():
+    n = drive(CSV, 0.0, 100.0, TARGET_VELOCITY=60, MAX_VELOCITY=1000)
+    n.unit_counts_s, n.speed_max_counts_s, n.speed_ki = 2.0, 100.0, 0.0
+    assert motion402.velocity(n) == 50.0
+    assert moved(n, MS) == pytest.approx(0.25 * (50.0 - 50.0))
+    assert (n.speed_demand, n.limited) == (50.0, 1)  # 6080h is 100 counts/s
+
+
+@pytest.mark.parametrize("zero_counts", [0, 30, -30, 2**31])
+def test_a_position_is_counted_from_the_home_position(zero_counts):
+    n = drive(LOWEST_POSITION=-100, HIGHEST_POSITION=100)
+    n.guarded, n.zero_counts = 1, zero_counts
+    for position, up, down in ((99, 1, 1), (100, 0, 1), (-99, 1, 1), (-100, 1, 0)):
+        n.in_position_counts = position + zero_counts
+        assert (motion402.high_limit(n), motion402.low_limit(n)) == (800 * up, -700 * down)
+
+
+@pytest.mark.parametrize("mode", POSITIONS)
+def test_a_position_mode_keeps_its_demand_in_607Dh_and_its_torque_free(mode):
+    n = drive(mode, LOWEST_POSITION=-100, HIGHEST_POSITION=100)
+    n.guarded, n.speed_max_counts_s = 1, 500.0
+    for position in (-101, 101):
+        n.in_position_counts = position
+        assert (motion402.high_limit(n), motion402.low_limit(n)) == (800, -700)
+    n.in_velocity_counts_s = 500.0
+    assert (motion402.high_limit(n), motion402.low_limit(n)) == (0, -700)
+
+
+def test_a_stop_leaves_nothing_of_a_position():
+    n = drive(CSP)
+    n.feed_forward_pm, n.following_lost, n.stalled_s = 5.0, 1, 0.3
+    motion402.stop(n)
+    assert (n.feed_forward_pm, n.following_lost, n.stalled_s) == (0.0, 0, 0.0)
+
+
+HELD = ("target_limited", "acknowledged", "halted", "waiting", "following_lost")
+
+
+def dirty(mode):
+    """A drive that has another demand, and set-points of before."""
+    n = drive(mode, 0.0, 8.0)
+    n.in_position_counts, n.position_demand, n.target_counts, n.target_speed, n.profile_end_ns = 70, 5.0, 5.0, 5.0, 9
+    n.cyclic_ns, n.following_ns, n.off_target_ns, n.setpoint_stale = 9, 9, 9, 0
+    for name in HELD:
+        setattr(n, name, 1)
+    return n
+
+
+def holds(n, t_ns):
+    """Whether the drive demands the position that is, without set-points, since then."""
+    assert (n.position_demand, n.target_counts, n.target_speed, n.profile_end_ns) == (70.0, 70.0, 0.0, t_ns)
+    assert (n.cyclic_ns, n.following_ns, n.off_target_ns) == (-1, t_ns, t_ns)
+    assert [getattr(n, name) for name in HELD] == [0] * len(HELD)
+    return True
+
+
+@pytest.mark.parametrize("mode", POSITIONS)
+def test_operation_begins_at_the_position_that_is(mode):
+    n = dirty(mode)
+    motion402.enter(n, T + 3)
+    assert holds(n, T + 3)
+
+
+@pytest.mark.parametrize("mode", [VELOCITY, TORQUE, CSV, CST])
+def test_operation_without_a_position_leaves_its_demand(mode):
+    n = dirty(mode)
+    motion402.enter(n, T + 3)
+    assert (n.position_demand, n.target_speed, n.cyclic_ns, n.following_ns) == (5.0, 5.0, 9, 9)
+    assert [getattr(n, name) for name in HELD] == [1] * len(HELD)
+
+
+def test_only_a_homing_that_is_over_is_kept():
+    others = range(homing402._IDLE, homing402._APPROACH + 1), [homing402._FAILED]
+    stages = {stage for part in others for stage in part}
+    assert motion402.HOMED not in stages
+    for stage in (*stages, motion402.HOMED):
+        n = dirty(HOMING)
+        n.homing = stage
+        motion402.enter(n, T)
+        assert n.homing == (stage if stage == motion402.HOMED else homing402._IDLE)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("before", "after", "at_once"),
+    [(CSP, POSITION, True), (POSITION, HOMING, True), (CSP, CST, False), (CST, CSP, False), (CSV, POSITION, False)],
+)
+def test_a_position_mode_follows_another_at_once(sign, before, after, at_once):
+    n = dirty(before)
+    n.modes, n.torque_demand_pm, n.values[slots402.MODE] = 0x3ED, sign * 100.0, after
+    motion402.change_mode(n, T)
+    assert (n.mode, n.slowing) == ((after, 0) if at_once else (before, TO_ZERO))
+    if at_once:
+        assert holds(n, T)
+        assert (n.torque_demand_pm, n.setpoint_stale) == (0.0, 1)
+
+
+@pytest.mark.parametrize("state", [3, OE])
+def test_a_position_mode_holds_only_when_it_is_enabled(state):
+    n = dirty(CST)
+    n.modes, n.power_state, n.values[slots402.MODE] = 0x3ED, state, CSP
+    motion402.change_mode(n, T)
+    assert n.mode == CSP
+    assert (n.position_demand == 70.0) == (state == OE)
+
+
+@BOTH
+@pytest.mark.parametrize(("ramp", "rate"), [(SLOW, 2000), (QUICK, 4000)])
+@pytest.mark.parametrize("mode", POSITIONS)
+def test_a_position_is_slowed_down_from_the_speed_that_is(sign, ramp, rate, mode):
+    n = drive(mode, sign * 8.0, sign * 512.0)
+    n.speed_demand, n.feed_forward_pm, n.speed_ki = 3.0, 99.0, 0.0
+    motion402.begin(n, T, ramp, QSA)
+    assert (n.speed_demand, n.feed_forward_pm, n.out_torque_pm) == (sign * 512.0, 0.0, 0.0)
+    motion402.other_mode(n, T + 100 * MS, 100 * MS)
+    assert n.speed_demand == pytest.approx(sign * (512.0 - rate / 10))
+    assert (n.power_state, n.slowing) == (OE, ramp)
+
+
+@pytest.mark.parametrize("mode", [VELOCITY, CSV])
+def test_a_speed_is_slowed_down_from_its_demand(mode):
+    n = drive(mode, 8.0, 512.0)
+    n.speed_demand, n.speed_ki = 500.0, 0.0
+    motion402.begin(n, T, SLOW, QSA)
+    assert n.speed_demand == 500.0
+
+
+@BOTH
+def test_csv_adds_the_torque_offset_and_profile_velocity_does_not(sign):
+    for mode, offset in ((CSV, sign * 30), (VELOCITY, 0)):
+        n = drive(mode, 0.0, sign * 100.0, TARGET_VELOCITY=sign * 100, TORQUE_OFFSET=sign * 30)
+        n.feed_forward_pm = 99.0
+        assert moved(n, MS) == offset
+        assert n.feed_forward_pm == offset
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("speed", "target", "limit", "stalls"),
+    [
+        (0.5, 4000, 800, True),
+        (-0.5, 4000, 800, True),
+        (1.0, 4000, 800, False),
+        (-1.0, 4000, 800, False),
+        (-5.0, 4000, 800, False),
+        (0.5, 40, 800, False),  # the torque is not limited
+        (0.5, 4000, 1, True),
+        (0.5, 4000, 0, False),  # no torque
+    ],
+)
+def test_a_motor_stands_still_against_the_largest_torque(sign, speed, target, limit, stalls):
+    n = drive(CSV, 0.0, sign * speed, TARGET_VELOCITY=sign * target, MAX_TORQUE=limit)
+    n.speed_ki, n.stalled_s = 0.0, 0.25
+    moved(n, 4 * MS)
+    assert n.stalled_s == (pytest.approx(0.254) if stalls else 0.0)
