@@ -108,6 +108,20 @@ def test_axes_whose_tpdos_have_come_finish_and_the_others_wait_for_the_window(ar
     assert axes.host["missed_in_a_row"].tolist() == [int(n != 3) for n in arrived]
 
 
+@pytest.mark.parametrize("arrived", [(3, 1), (1, 3), (3, 3), (0, 2)])
+def test_joints_of_one_arm_finish_together(arrived):
+    k, out = Controllers(rig_of("plane"), "hybrid"), new_queue()
+    k.start(0)
+    assert k.arm is not None
+    k.host["waiting"], k.host["arrived"] = 1, arrived
+    missing = sum(n != 3 for n in arrived)
+    assert finish(k.axes, k.law_function, 10, WINDOW_OPEN, out, k.arm) == missing
+    assert k.host["waiting"].tolist() == [int(missing > 0)] * 2
+    assert (out["count"] > 0) == (missing == 0)
+    assert finish(k.axes, k.law_function, 12, WINDOW_OVER, out, k.arm) == 0
+    assert k.host["waiting"].tolist() == [0, 0]
+
+
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("phase", Phase)
 @pytest.mark.parametrize("stop", [0, 1, 2, int(Trip.RECORDING)])

@@ -218,6 +218,12 @@ def test_a_process_is_told_to_end_and_ended_where_it_does_not(handle, ends_s, lo
     assert told(handle, "command") == PlaneCommand.LISTEN
 
 
+def test_the_states_of_a_world_are_closed_with_it(handle):
+    handle.states, handle._process.ends_s = SimpleNamespace(close=lambda: handle.closed.append("states")), 100.0
+    handle.close()
+    assert handle.closed == ["client", "states", "shared"]
+
+
 def test_the_recording_is_told_until_the_parent_has_closed_it(handle):
     handle.tell_recording(Path("/r.pcapng"), 77)
     assert (bytes(handle.shared.recording), told_zero(handle)) == (b"/r.pcapng".ljust(16, b"\0"), 77)
@@ -374,9 +380,11 @@ def test_why_a_bus_is_lost_is_told(handle, error, text):
     assert handle.lost_text == text
 
 
-@pytest.mark.parametrize(("lost", "text"), [(1, "coulombus:a: "), (2, "coulombus:b: "), (0, "")])
-def test_which_of_several_buses_is_lost_is_told(handle, lost, text):
-    handle._addresses = (BusAddress("coulombus", "a"), BusAddress("coulombus", "b"))
+@pytest.mark.parametrize(
+    ("buses", "lost", "text"), [("ab", 1, "coulombus:a: "), ("ab", 2, "coulombus:b: "), ("ab", 0, ""), ("a", 1, "")]
+)
+def test_which_of_several_buses_is_lost_is_told(handle, buses, lost, text):
+    handle._addresses = tuple(BusAddress("coulombus", name) for name in buses)
     handle.shared.plane["lost_bus"] = lost
     assert handle.lost_text == f"{text}its process ended"
 

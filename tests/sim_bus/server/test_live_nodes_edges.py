@@ -11,13 +11,15 @@ import pytest
 
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
+from coulombus.node.io401 import IO401
 from coulombus.node.kinds import GENERIC
 from coulombus.node.store import FileStore
+from coulombus.sim_bus.rig.shaft_load import Load, switch_counts
 from coulombus.sim_bus.server import live_nodes
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError, serves
 from coulombus.wire.address import BusAddress
 from eds_edit import edit, gone
-from foreign_eds import BRAKE, MOTOR, another
+from foreign_eds import BRAKE, MOTOR, another, with_array
 
 UNCONFIGURED = 255
 
@@ -234,6 +236,49 @@ def test_a_kind_that_is_asked_for_needs_its_objects(tmp_path):
     with pytest.raises(NodeError, match=r"1\.eds: got no 6040h:00"):
         nodes(tmp_path, (MOTOR, 6), (text, 5), kind=DRIVE402)
     assert nodes(tmp_path, (gone(MOTOR, "6040"), 5)).kinds == [DRIVE402]  # it is ours, and nobody asked
+
+
+def test_a_kind_with_terminals_needs_one_of_them(tmp_path):
+    with pytest.raises(NodeError, match=r"0\.eds: got no 6000h, 6200h, 6401h, 6411h, which kind io acts on"):
+        nodes(tmp_path, (MOTOR, 5), kind=IO401)
+    one = with_array(another(MOTOR), "6200", "0x0005", 1)
+    assert nodes(tmp_path, (one, 5), kind=IO401).kinds == [IO401]
+
+
+# what drives drive
+
+
+def test_each_drive_has_its_own_shaft_and_nothing_else_has_one(tmp_path):
+    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), (BRAKE, 7), (MOTOR, 8))
+    world = found.make_world(1_000_000, True)
+    assert world.axis_of[:4].tolist() == [-1, 0, -1, 1]
+    places = [tuple(device.record["switch_counts"]) for device in world.devices]
+    assert places[1] == places[3] == switch_counts(world.devices[1].dictionary) != places[0] == places[2]
+
+
+def test_switches_that_are_placed_are_on_every_axis(tmp_path):
+    found = nodes(tmp_path, (MOTOR, 6), (MOTOR, 8))
+    found.place_switches((-1.0, 0.0, 1.0, 2.0))
+    devices = found.make_world(1_000_000, True).devices
+    assert [device.record["switch_counts"].tolist() for device in devices] == [[-1.0, 0.0, 1.0, 2.0]] * 2
+
+
+def test_a_load_is_for_a_drive(tmp_path):
+    load = Load(friction_Nm=0.5)
+    with pytest.raises(NodeError, match=r"^a load is for a drive without --io, and got kind brake, generic; take"):
+        nodes(tmp_path, (BRAKE, 5), (another(MOTOR), 6), load=load)
+    assert nodes(tmp_path, (BRAKE, 5), load=Load()).kinds == [BRAKE404]
+    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), load=load)
+    assert found.make_world(1_000_000, True).plant["coulomb"].tolist() == [0.5]
+
+
+def test_a_drive_behind_converters_has_no_load(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_nodes, "read_io_file", lambda *what: "plan")
+    monkeypatch.setattr(live_nodes, "Pump", lambda *what: "pump")
+    found = nodes(tmp_path, (MOTOR, 6), io=tmp_path / "io.toml")
+    assert found.make_world(1_000_000, True).axis_of[:1].tolist() == [-1]
+    with pytest.raises(NodeError, match=r"^a load is for a drive without --io"):
+        nodes(tmp_path, (MOTOR, 6), io=tmp_path / "io.toml", load=Load(friction_Nm=0.5))
 
 
 def test_a_node_takes_its_time_for_a_request(tmp_path):
