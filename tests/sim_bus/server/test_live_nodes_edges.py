@@ -5,6 +5,7 @@ told of them. No bus is opened.
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -249,11 +250,14 @@ def test_a_kind_with_terminals_needs_one_of_them(tmp_path):
 
 
 def test_each_drive_has_its_own_shaft_and_nothing_else_has_one(tmp_path):
-    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), (BRAKE, 7), (MOTOR, 8))
+    coarse = edit(MOTOR, "608Fsub1", DefaultValue=4096)
+    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), (BRAKE, 7), (coarse, 8))
     world = found.make_world(1_000_000, True)
     assert world.axis_of[:4].tolist() == [-1, 0, -1, 1]
-    places = [tuple(device.record["switch_counts"]) for device in world.devices]
-    assert places[1] == places[3] == switch_counts(world.devices[1].dictionary) != places[0] == places[2]
+    assert world.plant["counts_rad"].tolist() == [8192 / math.tau, 4096 / math.tau]
+    none, fine, still_none, half = (tuple(device.record["switch_counts"]) for device in world.devices)
+    assert none == still_none == (-math.inf, math.inf, math.inf, math.inf)
+    assert fine == tuple(2 * count for count in half) == switch_counts(world.devices[1].dictionary)
 
 
 def test_switches_that_are_placed_are_on_every_axis(tmp_path):
