@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from coulombus.host.cycle.plausibility import compare_felt
+from coulombus.host.cycle.plausibility import SPEED_STEP, compare_felt
 from coulombus.host.cycle.records import Phase
 from host_bench import HostBench
 
@@ -124,6 +124,30 @@ def test_a_small_torque_is_not_compared_with_itself_alone():
     weak.h.brake_lagged_Nm = 0.05
     assert weak.cycles(3000, 0.15) == (False, 0)
     assert weak.cycles(3000, 0.5)[0]
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(("share", "moves"), [(1.0, False), (1.001, True)])
+def test_a_speed_of_just_the_band_is_no_motion(direction, share, moves):
+    felt = Felt()
+    counts = direction * share * SPEED_STEP * felt.c.velocity_band_counts
+    felt.h.felt_v_counts = felt.h.mean_v_counts = counts
+    felt.cycles(1, 0.0, counts)  # a hand that rests feels nothing; one that moves misses 1 Nm
+    assert (felt.h.mean_error_Nm < 0.0) == moves
+    felt.h.felt_error_Nm = felt.h.mean_error_Nm = 0.0
+    felt.cycles(1, 2.0, counts)  # locked in the positive sense
+    assert felt.h.mean_error_Nm * (direction if moves else 1) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("still_handle_Nm", "counted", "wrong"), [(2.0, 0, 0), (1.999, 1, 0), (1.0, 1, 0), (0.999, 1, 1)]
+)
+def test_an_error_of_just_the_bound_is_none_too_large(still_handle_Nm, counted, wrong):
+    felt = Felt(still_handle_Nm=still_handle_Nm, mismatch_share=0.0)
+    felt.h.felt_v_counts = felt.h.mean_v_counts = SPEED_COUNTS
+    felt.h.felt_error_Nm = felt.h.mean_error_Nm = 1.0
+    assert felt.cycles(1, LEVEL_NM + 1.0)[1] == counted
+    assert (felt.h.mean_error_Nm, felt.h.felt_wrong) == (1.0, wrong)
 
 
 def equations(c, cycles):
