@@ -351,6 +351,16 @@ def test_a_hand_torque_that_does_not_fit_trips_when_it_lasts(sign, counts):
     assert [watch_motion(c, h) for _ in range(4)] == [Trip.NONE] * 3 + [Trip.HANDLE_TORQUE]
 
 
+def test_a_display_that_the_hand_does_not_feel_trips_when_it_lasts():
+    bench = binary(mismatch_cycles=3, mismatch_share=0.25, still_handle_Nm=0.01)
+    c, h = bench.c, bench.h
+    h.phase, h.v_counts, h.felt_v_counts, h.mean_v_counts, h.felt_wrong = Phase.RUN, 40.0, 40.0, 40.0, 3
+    h.felt_error_Nm = h.mean_error_Nm = 8.0
+    h.handle_Nm = 8.0
+    assert watch_motion(c, h) == Trip.HANDLE_TORQUE
+    assert (h.felt_wrong, h.mismatch) == (4, 0)
+
+
 @BOTH
 def test_without_a_measured_torque_the_commanded_one_works(sign):
     bench = binary(net_work_J=1.0, torque_commanded=1.0, torque_Nm_raw=0.0)

@@ -357,6 +357,20 @@ def test_a_host_whose_standard_input_was_closed_lets_go_of_its_bus_too(host):
     real.close()
 
 
+def test_a_host_that_has_let_go_of_its_bus_takes_no_more_requests(host, monkeypatch):
+    asked = []
+    monkeypatch.setattr(host, "stop_wanted", lambda: asked.append(1))
+    host.close()
+    host.close()
+    assert asked == [1]
+
+
+def test_no_host_runs_on_an_adapter(monkeypatch):
+    monkeypatch.setattr(control_socket, "_probe", lambda path: True)
+    assert host_runs(BUS)
+    assert not host_runs(BusAddress("can", "pcan:PCAN_USBBUS1"))
+
+
 def test_a_host_of_two_buses_claims_and_leaves_both():
     other = parse_address("coulombus:other")
     both = HostSocket(BUS, other)
@@ -389,3 +403,10 @@ def test_a_host_whose_second_bus_has_another_host_takes_none():
 def test_each_bus_has_a_door_of_its_own(kind, name, path):
     """A virtual bus and an interface may have one name."""
     assert control_socket.control_path(BusAddress(kind, name)) == socket_path(path)
+
+
+@pytest.mark.parametrize("bus", ["coulombus:desk", "coulombus:a-b", "socketcan:can0", "socketcan:can-left-0"])
+def test_a_door_tells_whose_it_is(bus):
+    address = parse_address(bus)
+    name = control_socket.control_path(address).name.removesuffix(control_socket.HOST_SUFFIX)
+    assert control_socket.address_of(name) == address

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import termios
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -221,6 +222,11 @@ def test_the_requests_are_the_kernels():
     assert (GET_LINE, GET_VALUES) == (0xC250B407, 0xC010B40E)
 
 
+def watcher():
+    """Return the thread that watches a switch, if there is one."""
+    return next((one for one in threading.enumerate() if one.name == "dead man's switch"), None)
+
+
 @pytest.mark.parametrize(("low", "flags"), [(False, 1 << 2 | 1 << 9), (True, 1 << 1 | 1 << 2 | 1 << 8)])
 def test_one_line_is_asked_for_and_nothing_stays_open(chip, low, flags):
     with HeldLine([].append, chip.path, 17, low=low, ioctl=chip.ioctl) as switch:
@@ -230,7 +236,9 @@ def test_one_line_is_asked_for_and_nothing_stays_open(chip, low, flags):
         assert not is_open(chip.device, chip.path)
         assert is_open(chip.line, os.devnull)
         assert switch.name == "the switch at the GPIO line"
+        assert watcher() is not None
     assert not is_open(chip.line, os.devnull)
+    assert watcher() is None
 
 
 @pytest.mark.parametrize(("bits", "held"), [(1, True), (3, True), (0, False), (2, False)])

@@ -8,7 +8,16 @@ import pytest
 
 from coulombus.eds.reader import Variable, parse_eds
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.setup.device_plan import _locked, _misfit, _other, device_plans, missing_mode, steps_of
+from coulombus.host.setup.device_plan import (
+    NOT_SHOWN,
+    _locked,
+    _misfit,
+    _other,
+    _Planner,
+    device_plans,
+    missing_mode,
+    steps_of,
+)
 from coulombus.host.setup.settings import Setting, settings_of
 from coulombus.rigs.rig import load_rig, load_rig_text
 from eds_edit import SENSOR, edit, gone
@@ -44,12 +53,6 @@ KNOWN = "take the EDS file of this very device"
 def stands(text, section, name="motor.eds"):
     """Return file and line of a section's header, where the reader says an object stands."""
     return f"{name}:{text.splitlines().index(f'[{section}]') + 1}"
-
-
-@pytest.mark.parametrize(("granularity", "open_"), [("0", True), ("0x0", True), ("8", False), ("", False)])
-def test_a_file_without_granularity_is_mapped_all_the_same_and_that_is_open(granularity, open_):
-    motor = edit(MOTOR, "DeviceInfo", Granularity=granularity)
-    assert any("has Granularity=0" in text for text in motor_of(motor).questions) is open_
 
 
 def plans_of(motor="own", brake_="own", *overrides, mode="hybrid"):
@@ -579,3 +582,61 @@ def test_a_set_point_of_a_further_axis_is_refused_unless_it_is_acknowledged():
         (plan, _) = device_plans(Controller(rig.one_axis(), "hybrid"))
         assert [problem.accept for problem in plan.problems] == ([sentence] if refused else [])
         assert all("6860h, 6872h, 685Ah" in problem.text for problem in plan.problems)
+
+
+# maps
+
+
+@pytest.mark.parametrize(("granularity", "is_asked"), [("0", True), ("0x0", True), ("8", False), ("", False)])
+def test_a_file_without_granularity_is_mapped_all_the_same_and_that_is_a_question(granularity, is_asked):
+    motor = edit(MOTOR, "DeviceInfo", Granularity=granularity)
+    assert any("has Granularity=0" in text for text in motor_of(motor).questions) is is_asked
+
+
+@pytest.mark.parametrize(
+    ("indices", "is_asked"),
+    [
+        ((), False),
+        ((0x1600,), True),
+        ((0x1601, 0x6040), True),
+        ((0x17FF,), True),
+        ((0x1A00,), True),
+        ((0x1BFF,), True),
+        ((0x15FF, 0x1800, 0x19FF, 0x1C00, 0x1400, 0x6040), False),
+    ],
+)
+def test_only_a_map_that_is_written_makes_granularity_a_question(indices, is_asked):
+    axis = rig_of(Part(edit(MOTOR, "DeviceInfo", Granularity=0)), Part(BRAKE)).one_axis()
+    planner = _Planner(axis, "motor", "hybrid", 900)
+    planner._granularity([Setting(index, 1, 0) for index in indices])
+    assert len(planner.questions) == is_asked
+
+
+# the display of the mode
+
+
+@pytest.mark.parametrize(
+    ("motor", "shows"),
+    [
+        (another(MOTOR), True),
+        (MOTOR, False),  # ours always displays it
+        (gone(another(MOTOR), "6061"), False),
+        (edit(another(MOTOR), "6061", AccessType="wo"), False),
+    ],
+)
+def test_the_mode_of_another_makers_drive_is_compared_where_it_can_be_read(motor, shows):
+    plans = plans_of(motor)
+    assert {name: plan.shows_mode for name, plan in plans.items()} == {"motor": shows, "brake": False}
+
+
+def test_a_display_of_the_mode_that_is_waived_is_a_loss_and_is_not_compared():
+    plan = motor_of(another(MOTOR), f'host.accept=["motor: {NOT_SHOWN}"]')
+    assert not plan.shows_mode
+    assert f"motor: {NOT_SHOWN} (host.accept)" in plan.losses
+    assert not any(NOT_SHOWN in text for text in motor_of(another(MOTOR)).losses)
+
+
+def test_only_a_drive_displays_a_mode():
+    assert not brake_of(with_variable(another(BRAKE), "6061", "0x0002", 0, "ro")).shows_mode
+    plans = device_plans(Controller(rig_of(drive("A"), brake("402")).one_axis(), "hybrid"))
+    assert [plan.shows_mode for plan in plans] == [True, True, False][: len(plans)]
