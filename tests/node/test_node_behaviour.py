@@ -131,6 +131,15 @@ def test_a_ramp_is_computed_each_millisecond(ramping, next_ns):
     assert deadline == (min(next_ns, T + MS) if ramping == 1 else next_ns)
 
 
+@pytest.mark.parametrize(("ramping", "computed"), [(0, True), (1, False), (2, True)])
+def test_a_reading_computes_the_output_but_for_a_ramp_which_has_a_cycle_of_its_own(ramping, computed):
+    n = Node(KIND_DRIVE).n
+    n.out_torque_pm, n.in_velocity_counts_s, n.ramping = -1.0, 77.0, ramping
+    reactions.measure(n, T)
+    assert n.out_torque_pm == (300.0 if computed else -1.0)
+    assert n.values[slots402.VELOCITY] == 77
+
+
 @KINDS
 def test_each_kind_tells_its_own_deadline(kind):
     node = Node(kind)

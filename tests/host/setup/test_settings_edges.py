@@ -158,6 +158,15 @@ def test_the_rig_files_list_is_set_at_its_places():
     assert [one.variable_bits for one in (found[0], found[1])] == [16, 0]
 
 
+@pytest.mark.parametrize(
+    ("index", "subindex", "first"), [(0x607E, 0, True), (0x607E, 1, False), (0x687E, 0, False), (0x607D, 0, False)]
+)
+def test_a_polarity_is_read_first_and_written_only_if_it_differs(index, subindex, first):
+    text = f'\n[[motor.sdo]]\nindex = {index:#x}\nsub = {subindex}\nvalue = 64\ntype = "UNSIGNED8"\nwhen = "before"\n'
+    one = settings(rig_of(drive("own"), brake("own"), text=text), "motor")[0]
+    assert shown(one) == f"{index:X}:{subindex}=40/" + ("ul" if first else "l")
+
+
 # the torque's slope and the cycle's period
 
 

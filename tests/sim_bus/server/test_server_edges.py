@@ -15,11 +15,13 @@ from coulombus.kernels.records import new_records
 from coulombus.sim_bus.can_bus.fault_confinement import state_of
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server import admission as module
+from coulombus.sim_bus.server import socket_file
 from coulombus.sim_bus.server.admission import LOSERS_TOLD, MUTE_S, SO_SNDBUFFORCE, Admission
 from coulombus.sim_bus.server.clients import SLOTS, STATION, SlotState
 from coulombus.sim_bus.server.records import PaceRecord
 from coulombus.sim_bus.server.sim_result import SimResult
 from coulombus.sim_bus.server.socket_file import locked, refuse_live, unlink_own
+from coulombus.system.file_lock import lock_file
 from coulombus.wire.address import BusUnavailable, parse_address
 from coulombus.wire.handshake import SEND_BUFFER, Answer, BusStatus, Flags, Hello
 
@@ -298,6 +300,30 @@ def test_a_connection_is_taken_and_waits_for_its_greeting(admission):
     assert not mine.getblocking()
 
 
+@pytest.mark.parametrize("buses", [(0,), (1,), (0, 1), ()])
+def test_a_connection_is_on_the_bus_whose_listener_it_came_to(admission, tmp_path, buses):
+    listeners = []
+    for k in range(2):
+        listeners.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK))
+        listeners[k].bind(str(tmp_path / str(k)))
+        listeners[k].listen(1)
+    several = Admission("desk", 0, VirtualNetwork((500_000, 250_000), capacity=1), admission._pace, admission._result)
+    several.listen(*listeners)
+    stations = several._world.bus["stations"]["half"]
+    stations[:] = 9
+    theirs = [socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in buses]
+    for client, bus in zip(theirs, buses, strict=True):
+        client.connect(str(tmp_path / str(bus)))
+    several.accept()
+    assert list(several.sockets) == list(range(len(buses)))
+    for i, bus in enumerate(buses):
+        assert stations[:, STATION + i].tolist() == [bus, bus]
+    assert (stations == 9).sum() == stations.size - 2 * len(buses)
+    for one in (*listeners, *theirs, *several.sockets.values(), several._door):
+        one.close()
+    os.close(several._spare)
+
+
 @pytest.mark.parametrize("forced", [True, False])
 def test_a_connection_gets_a_long_queue_where_that_is_allowed_and_stamps(admission, monkeypatch, forced):
     log = []
@@ -420,9 +446,15 @@ def test_only_the_server_s_own_file_is_removed(tmp_path):
     unlink_own(path, inode)
 
 
-def test_two_servers_do_not_start_at_a_time_in_one_folder(tmp_path):
+def test_two_servers_do_not_start_at_a_time_in_one_folder(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError), locked(tmp_path / "file"):
+        pass
+    waits = []
+    monkeypatch.setattr(socket_file, "lock_file", lambda fd, *, wait: waits.append(wait) or lock_file(fd, wait=wait))
     other = os.open(tmp_path, os.O_RDONLY)
     with locked(tmp_path), pytest.raises(BlockingIOError):
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
     os.close(other)
+    assert waits == [True]
