@@ -414,13 +414,13 @@ def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any
     """Send a message to the host on a bus, and return its answer."""
     with _new() as asker:
         try:
-            asker.connect(str(control_path(address)))
+            connect_by(asker, control_path(address), time.monotonic() + timeout_s)
             asker.send(message)
             asker.settimeout(timeout_s)
             answer = json.loads(asker.recv(MESSAGE_BYTES))
         except (FileNotFoundError, ConnectionRefusedError):
             raise NoHost(_no_host(address)) from None
-        except (BlockingIOError, TimeoutError):
+        except TimeoutError:
             text = f"the host on bus {address} gives no answer: it starts, or it ends"
             raise NoHost(text) from None
         except OSError as error:

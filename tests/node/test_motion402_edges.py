@@ -151,7 +151,8 @@ def test_operation_begins_from_the_speed_that_is():
 
 
 @pytest.mark.parametrize(
-    ("mode", "taken"), [(3, 3), (4, 4), (9, 9), (10, 10), (0, 0), (1, 0), (5, 0), (-1, 0), (11, 0)]
+    ("mode", "taken"),
+    [(3, 3), (4, 4), (9, 9), (10, 10), (0, 0), (1, 0), (5, 0), (-1, 0), (11, 0), (68, 0), (-60, 0), (-128, 0), (127, 0)],
 )
 @pytest.mark.parametrize("state", [3, OE])
 def test_a_mode_is_taken_at_torque_0_and_one_that_is_not_there_is_none(mode, taken, state):

@@ -93,7 +93,8 @@ def cycle_of(mode, *, motor_Nm=10.0, brake_Nm=20.0):
 def test_a_wall_pushes_along_its_normal_and_damps_the_way_in_alone():
     c = cycle_of(HYBRID)
     c.render(Model(wall=WALL))
-    assert c.at((0.09, 0.3), (0.5, 0.5)) == ([0.0, 0.0], [0.0, 0.0])
+    for x in (0.09, 0.1):  # on its face the hand is not in it yet
+        assert c.at((x, 0.3), (0.5, 0.5)) == ([0.0, 0.0], [0.0, 0.0])
     psi, push = c.at((0.11, 0.3), (0.2, 0.7))
     assert psi == pytest.approx([6.0, 0.0])  # 400 * 0.01 + 10 * 0.2: the hand feels it against x
     assert push == pytest.approx([4.0, 0.0])

@@ -113,10 +113,13 @@ def asker(monkeypatch):
         (lambda: ask_change(BUS, {"F_s": 1}), b'set {"F_s": 1}'),
     ],
 )
-def test_a_question_has_three_seconds_and_returns_its_answer(asker, ask, sent):
-    one = asker(b'{"phase": "run"}')
+@pytest.mark.parametrize("full", [0, 3])
+def test_a_question_has_three_seconds_and_returns_its_answer(clock, asker, ask, sent, full):
+    """A full queue is tried again, and an answer has three seconds of its own."""
+    one = asker(b'{"phase": "run"}', connects=[BlockingIOError()] * full)
     assert ask() == {"phase": "run"}
-    assert (one.sent, one.timeouts, one.paths, one.closed) == ([sent], [3.0], [str(control_path(BUS))], 1)
+    assert (one.sent, one.paths, one.closed) == ([sent], [str(control_path(BUS))] * (full + 1), 1)
+    assert one.timeouts == pytest.approx([*(3.0 - 0.01 * k for k in range(full + 1)), 3.0])
     assert one.sizes == [65536]
 
 
@@ -125,7 +128,7 @@ def test_a_question_has_three_seconds_and_returns_its_answer(asker, ask, sent):
     [
         (b"", [FileNotFoundError()], "no host runs on bus coulombus:x"),
         (b"", [ConnectionRefusedError()], "no host runs on bus coulombus:x"),
-        (b"", [BlockingIOError()], "gives no answer: it starts, or it ends"),
+        (b"", [BlockingIOError()] * 302, "gives no answer: it starts, or it ends"),
         (TimeoutError(), [], "gives no answer: it starts, or it ends"),
         (ConnectionResetError(104, "Connection reset by peer"), [], "broke off: Connection reset by peer"),
         (OSError("odd"), [], "broke off: odd"),
@@ -135,7 +138,7 @@ def test_a_question_has_three_seconds_and_returns_its_answer(asker, ask, sent):
         (b"[" * 60_000, [], "gave no answer that is one"),
     ],
 )
-def test_each_failure_of_a_question_has_its_words(asker, answer, connects, told):
+def test_each_failure_of_a_question_has_its_words(clock, asker, answer, connects, told):
     asker(answer, connects=connects)
     with pytest.raises(NoHost, match=told):
         ask_status(BUS)
