@@ -219,6 +219,7 @@ def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
 
 @kernel
 def _towards(present: float, target: float, change: float) -> float:
+    change = max(change, 0.0)  # a file may give a rate a signed type
     return min(present + change, target) if target >= present else max(present - change, target)
 
 

@@ -295,7 +295,7 @@ class HeldSocket(Watcher):
             _remove_abandoned(path)
             self._listener.bind(str(path))
             path.chmod(0o600)
-            self._listener.listen(1)
+            self._listener.listen()
         except OSError as error:
             self._listener.close()
             raise SafetyTrip(f"host.deadman: socket {path} cannot be made: {error.strerror or error}") from None

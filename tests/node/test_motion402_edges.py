@@ -152,7 +152,21 @@ def test_operation_begins_from_the_speed_that_is():
 
 @pytest.mark.parametrize(
     ("mode", "taken"),
-    [(3, 3), (4, 4), (9, 9), (10, 10), (0, 0), (1, 0), (5, 0), (-1, 0), (11, 0), (68, 0), (-60, 0), (-128, 0), (127, 0)],
+    [
+        (3, 3),
+        (4, 4),
+        (9, 9),
+        (10, 10),
+        (0, 0),
+        (1, 0),
+        (5, 0),
+        (-1, 0),
+        (11, 0),
+        (68, 0),
+        (-60, 0),
+        (-128, 0),
+        (127, 0),
+    ],
 )
 @pytest.mark.parametrize("state", [3, OE])
 def test_a_mode_is_taken_at_torque_0_and_one_that_is_not_there_is_none(mode, taken, state):
@@ -300,6 +314,18 @@ def test_behind_a_ramp_a_waiting_mode_is_taken():
     assert n.mode == TORQUE
     moved(n, 100 * MS)
     assert (n.mode, n.power_state, n.setpoint_stale) == (CST, OE, 1)
+
+
+@BOTH
+@pytest.mark.parametrize("mode", [TORQUE, VELOCITY])
+def test_a_rate_of_a_signed_object_never_leads_away_from_the_target(sign, mode):
+    negative = {"TORQUE_SLOPE": -1000, "ACCELERATION": -1000, "DECELERATION": -1000}
+    n = drive(mode, sign * 64.0, sign * 64.0, TARGET_TORQUE=sign * 300, TARGET_VELOCITY=sign * 300, **negative)
+    moved(n, 16 * MS)
+    assert (n.torque_demand_pm if mode == TORQUE else n.speed_demand) == sign * 64.0
+    n.controlword |= 0x100
+    moved(n, 16 * MS)
+    assert (n.torque_demand_pm if mode == TORQUE else n.speed_demand) == sign * 64.0
 
 
 # profile torque

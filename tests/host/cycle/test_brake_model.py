@@ -208,6 +208,17 @@ def test_iron_that_is_none_is_refused(overrides, text):
         load_rig("bench", overrides)
 
 
+def test_at_the_upper_end_of_an_iron_that_gives_nothing_at_once_the_coil_is_full():
+    """Such an iron is flat behind a reversal: a lower coil would show the same now, and the brake was at its limit."""
+    bench = HostBench("hybrid", "brake.iron.play_Nm=[0.25]", "brake.iron.weights=[1.0]", "limits.brake_torque_Nm=1.0",
+                      "mode.hybrid.F_s_Nm=0.75", "mode.hybrid.F_d_Nm=0.75")  # fmt: skip
+    c, h = bench.c, bench.h
+    magnetise(c, h, c.brake_limit_Nm)
+    largest_Nm = seen_by_fluid(c, h, c.brake_limit_Nm)
+    assert largest_Nm == seen_by_fluid(c, h, 0.5 * c.brake_limit_Nm + 0.25) == 0.75
+    assert coil_for(c, h, largest_Nm) == c.brake_limit_Nm == 1.0
+
+
 def test_a_single_operator_is_inverted_too():
     bench, truth = HostBench("hybrid", "brake.iron.play_Nm=[0.3]", "brake.iron.weights=[0.4]"), true_iron([0.3], [0.4])
     for wanted in (2.0, 1.0, 3.0, 1.5):

@@ -224,6 +224,14 @@ def test_what_only_the_host_sends_makes_the_axis_safe_when_it_comes_from_another
         assert bench.h.trip == Trip.NONE
 
 
+@pytest.mark.parametrize("can_id", [0x7FE, 0x7FF])
+def test_a_set_point_of_the_highest_identifiers_is_the_hosts_too(can_id):
+    bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
+    bench.axis.rpdos[0].cob_id = can_id
+    assert bench.frame(can_id, 4, 0) == 0
+    assert (bench.h.foreign_id, bench.h.stop) == (can_id, Trip.SECOND_HOST)
+
+
 def test_a_trip_of_before_is_not_written_over_by_a_stranger():
     bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
     bench.h.stop = int(Trip.ENCODER_JUMP)

@@ -465,3 +465,9 @@ def test_the_filters_are_the_rig_s_identifiers_in_their_order_each_whole():
     nodes = {base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in (1, 2)}
     assert [can_id for can_id, _ in found] == sorted({0x000, 0x080, 0x77F} | nodes)
     assert {mask for _, mask in found} == {CAN_SFF_EXACT} == {0xC00007FF}
+
+
+def test_a_rig_of_several_axes_hears_one_sync():
+    found = rig_filters(Controllers(load_rig("two_axes"), "hybrid"))
+    nodes = {base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in (1, 2, 3, 4)}
+    assert {can_id for can_id, _ in found} == {0x000, 0x080, 0x77F} | nodes

@@ -446,6 +446,7 @@ def test_a_brake_that_does_not_take_the_set_point_gets_no_fault_value():
     text = SENSOR + '\n[role.brake_setpoint]\nnode = "cell"\nobject = "7300:1"\nscale_Nm = 0.001\n'
     rig = rig_of(drive("own"), brake("own"), text=text)
     assert only(rig, "brake", 0x6340, 0x7341, 0x2001, 0x2005) == []
+    assert [row for row in rows(rig, "cell") if row.startswith("14") and ":5=" in row] == ["1400:5=0/o"]
 
 
 MUTE = "it reports no fault to the host by EMCY"
