@@ -329,7 +329,7 @@ class LiveParameters:
                 raise ChangeRefused(reason)
         if any(int(other.controller.live["taken"][0]) != other.number for other in self._axes):
             raise NotTaken("the change before has not been taken yet: the host does not cycle")
-        over_s = max(over_s, self._gentle_s(axis, goals, old))
+        over_s = max(over_s, self._gentle_s(index, goals, old))
         number, cycles = self._number + 1, max(1, round(over_s / self._period_s))
         offer(axis.controller.live[0], number, axis.full_record(goals), cycles)
         self._number = axis.number = number
@@ -337,15 +337,24 @@ class LiveParameters:
         values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in goals.items())
         return Change(number, axis.name, index, values, over_s, cycles, undo)
 
-    def _gentle_s(self, axis: _Axis, goals: Mapping[str, float], old: Mapping[str, float]) -> float:
+    def _gentle_s(self, index: int, goals: Mapping[str, float], old: Mapping[str, float]) -> float:
         """Return the shortest duration of a falling torque [s], at the safe state's rate: a hand may lean
         on it.
+
+        A falling force of the tip is a falling torque of each joint of the arm, by its lever in this pose.
         """
-        falls = [old[name] - value for name, value in goals.items() if axis.table[name].unit == "Nm"]
-        rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
-        if rate_Nm_s <= 0.0:
-            return 0.0
-        return min(math.ceil(max(falls, default=0.0) / rate_Nm_s * 1000 - 1e-6) / 1000, MOST_S)
+        fall = {"Nm": 0.0, "N": 0.0}
+        for name, value in goals.items():
+            unit = self._axes[index].table[name].unit
+            if unit in fall:
+                fall[unit] = max(fall[unit], old[name] - value)
+        levers_m = np.hypot(*self._axes[0].controller.records["plane"]["pose"]["jacobian"][0])
+        durations = [0.0]
+        for k, axis in enumerate(self._axes):
+            rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
+            fall_Nm = fall["Nm"] * (k == index) + (fall["N"] * levers_m[k] if fall["N"] > 0.0 else 0.0)
+            durations += [fall_Nm / rate_Nm_s] if rate_Nm_s > 0.0 else []
+        return min(math.ceil(max(durations) * 1000 - 1e-6) / 1000, MOST_S)
 
     def _index(self, name: str) -> int:
         names = [axis.name for axis in self._axes]

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import pytest
 
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.live_parameters import follow, offer
 from coulombus.host.cycle.parameter_changes import ChangeRefused, LiveParameters, NotTaken
 from coulombus.host.cycle.records import SLOTS, LiveRecord, OrderRecord, Phase, Slot
 from coulombus.kernels.decorator import Entry
 from coulombus.kernels.records import dtype_of
+from coulombus.rigs.rig import load_rig
 from host_bench import HostBench
 
 
@@ -74,6 +76,19 @@ def test_a_change_is_ramped_in_so_many_cycles_and_then_stands(bench):
 def test_a_torque_falls_no_faster_than_a_loaded_hand_is_let_go(bench, values, cycles):
     bench.control["release_Nm"] = 0.002
     change = bench.set(over_s=0.1, **values)
+    assert (change.cycles, change.over_s) == (cycles, cycles / 1000)
+
+
+@pytest.mark.parametrize(
+    ("force_N", "rates_Nm", "cycles"),
+    [(2.0, (0.001, 0.002), 200), (2.0, (0.002, 0.001), 300), (2.9, (0.002, 0.001), 100), (4.0, (0.001, 0.001), 100)],
+)
+def test_a_force_of_the_tip_falls_no_faster_than_the_joints_that_bear_it(force_N, rates_Nm, cycles):
+    """By 1 N: 0.2 Nm at a joint with a lever of 0.2 m, 0.3 Nm at one with 0.3 m."""
+    k = Controllers(load_rig("plane", ["law.plane_karnopp.F_s_N=3.0", "law.plane_karnopp.F_d_N=2.0"]), "hybrid")
+    k.control["period_ns"], k.control["release_Nm"] = 1_000_000, rates_Nm
+    k.axes["plane"]["pose"]["jacobian"][0] = [[0.12, 0.0], [0.16, -0.3]]
+    change = LiveParameters(k).change({"F_s_N": force_N}, k.rig.axes[0].name, over_s=0.1)
     assert (change.cycles, change.over_s) == (cycles, cycles / 1000)
 
 
