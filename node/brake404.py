@@ -24,6 +24,7 @@ import math
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.codec import nearest_integer
 from coulombus.eds.own_devices import PRODUCTS
+from coulombus.eds.values import LARGEST_REAL32
 from coulombus.kernels.decorator import constant, kernel
 from coulombus.node import coil404, emcy, slots, slots404
 from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile, SdoAbort
@@ -101,7 +102,7 @@ def _auto_zero(record: NodeRecord, objects: Objects, channel: int) -> None:
     """Set 6124h so that the input `channel` (from 1) shows 0 now (6125h)."""
     value = (record["in_handle_Nm"], record["in_coil_A"], record["in_coil_degC"])[channel - 1]
     gain, offset = objects.real(0x6126, channel, 1.0), objects.real(0x6127, channel, 0.0)
-    objects[0x6124, channel] = -(float(value) * gain + offset)
+    objects[0x6124, channel] = min(max(-(float(value) * gain + offset), -LARGEST_REAL32), LARGEST_REAL32)
 
 
 _NO, _YES = constant(0), constant(1)

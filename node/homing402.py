@@ -185,7 +185,9 @@ def _continue_search(n: NodeRecord, t_ns: int) -> None:
     bits, before = axis402.inputs(n, place), n.homing_inputs
     moved = 1 if place > n.homing_counts else -1
     n.homing_inputs, n.homing_counts = bits, place
-    method = n.values[slots402.HOMING_METHOD] if n.homing != _INDEX else 0
+    method = n.values[slots402.HOMING_METHOD]
+    if n.homing == _INDEX or not 0 <= method <= _HERE:  # an RPDO may have written another one meanwhile
+        method = 0
     switch = _METHOD[method, _SWITCH]
     limit = (NEGATIVE if n.homing_direction < 0.0 else POSITIVE) & ~switch
     if bits & limit:

@@ -121,6 +121,7 @@ def high_limit(n: NodeRecord) -> int:
     """Return the largest torque allowed now."""
     values = n.values
     high: int = min(min(values[slots402.MAX_TORQUE], values[slots402.POSITIVE_LIMIT]), values[slots402.MAX_CURRENT])
+    high = max(high, 0)  # a file may give a limit a signed type
     return 0 if n.guarded and _beyond(n) > 0 else high
 
 
@@ -128,9 +129,8 @@ def high_limit(n: NodeRecord) -> int:
 def low_limit(n: NodeRecord) -> int:
     """Return the most negative torque allowed now."""
     values = n.values
-    low: int = -min(
-        min(values[slots402.MAX_TORQUE], abs(values[slots402.NEGATIVE_LIMIT])), values[slots402.MAX_CURRENT]
-    )
+    most = min(min(values[slots402.MAX_TORQUE], abs(values[slots402.NEGATIVE_LIMIT])), values[slots402.MAX_CURRENT])
+    low: int = -max(most, 0)
     return 0 if n.guarded and (_beyond(n) == -1 or _beyond(n) == 2) else low
 
 
@@ -291,7 +291,7 @@ def _speed_target(n: NodeRecord) -> float:
     target = float(values[slots402.TARGET_VELOCITY])
     if n.mode == _CSV:
         target += values[slots402.VELOCITY_OFFSET]
-    fastest = min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s / n.unit_counts_s)
+    fastest = max(min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s / n.unit_counts_s), 0.0)
     clipped: float = min(max(target, -fastest), fastest)
     if n.guarded:
         beyond = _beyond(n)

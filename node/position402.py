@@ -39,7 +39,7 @@ _SHORTEST_NS, _LONGEST_NS = 1_000_000, 100_000_000  # of a measured time between
 def fastest(n: NodeRecord) -> float:
     """Return the largest speed allowed, counts/s: 607Fh, 6080h."""
     speed: float = min(float(n.values[slots402.MAX_VELOCITY]) * n.unit_counts_s, n.speed_max_counts_s)
-    return speed
+    return max(speed, 0.0)
 
 
 @kernel

@@ -23,6 +23,7 @@ from coulombus.node.record import NodeRecord
 __all__ = ["evaluate", "hold", "interpolate", "move", "rest"]
 
 _STRETCHES = 4
+_LONGEST_S = 1e9  # of a profile: its end is an integer of ns
 
 
 @kernel
@@ -40,7 +41,7 @@ def _end(n: NodeRecord, target: float, speed: float) -> None:
     duration = 0.0
     for k in range(_STRETCHES):
         duration += n.stretch_s[k]
-    n.profile_end_ns = n.profile_ns + math.ceil(duration * 1e9)
+    n.profile_end_ns = n.profile_ns + math.ceil(min(duration, _LONGEST_S) * 1e9)
     n.profile_to, n.profile_to_speed = target, speed
 
 

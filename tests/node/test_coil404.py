@@ -255,6 +255,10 @@ def test_auto_zero_and_offset():
     assert struct.unpack("<f", bench.upload(0x6124, 1))[0] == pytest.approx(-1.5)
     bench.node.in_handle_Nm = 1.0
     assert bench.number(0x7130, 1) == 500
+    bench.node.in_handle_Nm = -22.0
+    bench.download(0x6126, 1, struct.pack("<f", 3.4e38))
+    bench.write(0x6125, 1, int.from_bytes(b"zero", "little"), 4)
+    assert struct.unpack("<f", bench.upload(0x6124, 1))[0] == pytest.approx(3.4028235e38)
     for value in (float("nan"), float("inf")):
         with pytest.raises(SdoAborted, match="06090030"):
             bench.download(0x6124, 1, struct.pack("<f", value))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from coulombus.node import homing402, slots402
 from node_bench import MS, SdoAborted
 from servo_bench import BIT12, BIT13, ENABLE, HOMING, PP, REACHED, Servo
 
@@ -95,6 +96,27 @@ def test_the_present_position_is_home(method):
     assert servo.position == pytest.approx(1000 - 777 + 50, abs=3)
     servo.write(0x6060, HOMING, 1)
     assert servo.word & MASK == ATTAINED  # it is homed still
+
+
+def test_a_slow_search_goes_on_at_its_speed():
+    """100 counts/s lead 1e12 counts away in more ns than an integer of 64 bits has."""
+    servo = ready(0, 17)
+    servo.write(0x6099, 100, 4, 1)
+    start(servo)
+    servo.run(500)
+    assert servo.demand == pytest.approx(-50.0, abs=1.0)
+    assert servo.node.homing == homing402._SEARCH
+
+
+@pytest.mark.parametrize("method", [100, -1, 38, 2_000_000])
+def test_a_method_that_none_is_has_no_edge(method):
+    """Another one than at the start comes by an RPDO only."""
+    servo = ready(0, 17)
+    start(servo)
+    servo.run(20)
+    servo.node.values[slots402.HOMING_METHOD] = method
+    servo.run(500)
+    assert servo.node.homing == homing402._FAILED  # at the limit switch, from which no method 0 turns
 
 
 def test_speeds_and_acceleration():

@@ -88,6 +88,11 @@ def test_the_makers_set_point_acts_at_once_within_the_limits(target, torque, lim
         ({"POSITIVE_LIMIT": 950, "NEGATIVE_LIMIT": 950}, 900, -900),
         ({"POSITIVE_LIMIT": 0}, 0, -700),
         ({"NEGATIVE_LIMIT": 0}, 800, 0),
+        ({"MAX_TORQUE": -500}, 0, 0),  # of a signed object: no torque, and none that is forced
+        ({"MAX_CURRENT": -1}, 0, 0),
+        ({"POSITIVE_LIMIT": -200}, 0, -700),
+        ({"NEGATIVE_LIMIT": -200}, 800, -200),
+        ({"MAX_TORQUE": 1}, 1, -1),
     ],
 )
 def test_the_limits_are_the_least_of_three(values, high, low):
@@ -441,7 +446,14 @@ def test_csv_follows_its_target_and_offset_at_once(sign, halted, demand):
 @BOTH
 @pytest.mark.parametrize(
     ("fastest", "most", "target", "demand", "limited"),
-    [(400, 1e6, 400, 400.0, 0), (400, 1e6, 401, 400.0, 1), (900, 300.0, 401, 300.0, 1), (900, 800.0, 401, 401.0, 0)],
+    [
+        (-9, 1e6, 401, 0.0, 1),
+        (400, -1.0, 401, 0.0, 1),
+        (400, 1e6, 400, 400.0, 0),
+        (400, 1e6, 401, 400.0, 1),
+        (900, 300.0, 401, 300.0, 1),
+        (900, 800.0, 401, 401.0, 0),
+    ],
 )
 def test_a_speed_is_within_607Fh_and_6080h(sign, fastest, most, target, demand, limited):
     n = drive(CSV, 0.0, 0.0, TARGET_VELOCITY=sign * target, MAX_VELOCITY=fastest)

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from coulombus.node import position402, slots402
 from node_bench import MS
 from servo_bench import BIT12, BIT13, CSV, ENABLE, HOMING, LIMIT, PP, PV, REACHED, Servo
 
@@ -384,3 +385,10 @@ def test_offsets_of_cyclic_velocity_reach_the_torque():
         servo.write(0x60FF, 0)
         outs.append(float(servo.node.out_torque_pm))
     assert outs == [0, 50]
+
+
+def test_a_negative_largest_speed_is_none():
+    """A file may give 607Fh a signed type."""
+    servo = Servo(PP)
+    servo.node.values[slots402.MAX_VELOCITY] = -100_000
+    assert position402.fastest(servo.node) == 0.0
