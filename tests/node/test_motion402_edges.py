@@ -808,9 +808,9 @@ def test_a_position_is_slowed_down_from_the_speed_that_is(sign, ramp, rate, mode
 @pytest.mark.parametrize("mode", [VELOCITY, CSV])
 def test_a_speed_is_slowed_down_from_its_demand(mode):
     n = drive(mode, 8.0, 512.0)
-    n.speed_demand, n.speed_ki = 500.0, 0.0
+    n.speed_demand, n.integral_pm = 500.0, 8.0
     motion402.begin(n, T, SLOW, QSA)
-    assert n.speed_demand == 500.0
+    assert (n.speed_demand, n.integral_pm) == (500.0, 8.0)  # no time has passed yet
 
 
 @BOTH
