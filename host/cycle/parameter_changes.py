@@ -343,18 +343,18 @@ class LiveParameters:
 
         A falling force of the tip is a falling torque of each joint of the arm, by its lever in this pose.
         """
-        fall = {"Nm": 0.0, "N": 0.0}
-        for name, value in goals.items():
-            unit = self._axes[index].table[name].unit
-            if unit in fall:
-                fall[unit] = max(fall[unit], old[name] - value)
-        levers_m = np.hypot(*self._axes[0].controller.records["plane"]["pose"]["jacobian"][0])
-        durations = [0.0]
-        for k, axis in enumerate(self._axes):
-            rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
-            fall_Nm = fall["Nm"] * (k == index) + (fall["N"] * levers_m[k] if fall["N"] > 0.0 else 0.0)
-            durations += [fall_Nm / rate_Nm_s] if rate_Nm_s > 0.0 else []
-        return min(math.ceil(max(durations) * 1000 - 1e-6) / 1000, MOST_S)
+        table = self._axes[index].table
+
+        def largest_fall(unit: str) -> float:
+            return max([0.0, *(old[name] - value for name, value in goals.items() if table[name].unit == unit)])
+
+        falls_Nm, fall_N = np.zeros(len(self._axes)), largest_fall("N")
+        falls_Nm[index] = largest_fall("Nm")
+        if fall_N > 0.0:
+            falls_Nm += fall_N * np.hypot(*self._axes[0].controller.records["plane"]["pose"]["jacobian"][0])
+        rates_Nm_s = np.array([axis.controller.control["release_Nm"][0] for axis in self._axes]) / self._period_s
+        durations_s = np.divide(falls_Nm, rates_Nm_s, out=np.zeros_like(falls_Nm), where=rates_Nm_s > 0.0)
+        return min(math.ceil(float(durations_s.max()) * 1000 - 1e-6) / 1000, MOST_S)
 
     def _index(self, name: str) -> int:
         names = [axis.name for axis in self._axes]

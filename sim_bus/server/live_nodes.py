@@ -189,16 +189,16 @@ class LiveNodes:
         row_of = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
         row_of |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
         row_of = {can_id: row for can_id, row in row_of.items() if devices[row].node_id != UNCONFIGURED}
-        boot_ups = {
-            CobId.HEARTBEAT + node_id for node_id in range(1, 128)
-        }  # of nodes with an id from an LSS master, too
+        heard = set(row_of)
+        if UNCONFIGURED in self.node_ids:  # such a node boots with any id from an LSS master
+            heard |= {CobId.HEARTBEAT + node_id for node_id in range(1, 128)}
 
         def hear(frame: Heard) -> None:
             row = row_of.get(frame.can_id, frame.source)
             if row in range(len(devices)):
                 self._heard(devices[row], row, frame)
 
-        network.station(boot_ups | row_of.keys(), hear)
+        network.station(heard, hear)
         return network
 
     def add_to(self, network: VirtualNetwork) -> list[Device]:

@@ -467,7 +467,7 @@ def test_a_drive_begins_without_a_home_position_and_probes():
 
 @pytest.mark.parametrize("before", [0, FOLLOWING_LOST, BLOCKED, FOLLOWING_LOST | BLOCKED])
 @pytest.mark.parametrize(
-    ("lost", "stalled_s", "found"),
+    ("lost", "stalled_s", "causes"),
     [
         (0, 0.0, 0),
         (1, 0.0, FOLLOWING_LOST),
@@ -476,11 +476,11 @@ def test_a_drive_begins_without_a_home_position_and_probes():
         (1, 9.0, FOLLOWING_LOST | BLOCKED),
     ],
 )
-def test_a_lost_and_a_blocked_position_are_detected_and_released(before, lost, stalled_s, found):
+def test_a_lost_and_a_blocked_position_are_detected_and_released(before, lost, stalled_s, causes):
     n = servo(CSP)
     n.detected, n.following_lost, n.stalled_s = before | OTHER, lost, stalled_s
     states402.detect(n, T)
-    assert n.detected == found | OTHER
+    assert n.detected == causes | OTHER
 
 
 @pytest.mark.parametrize(
@@ -504,12 +504,12 @@ def test_a_cause_that_is_gone_is_released_at_once(detected, lost, stalled_s, soo
     assert states402.next_deadline(n, T - 9) == T - 9
 
 
-@pytest.mark.parametrize(("before", "taken"), [(0x0F, True), (0x1F, False)])
-def test_a_position_is_taken_by_the_rising_edge_of_bit_4(before, taken):
+@pytest.mark.parametrize(("before", "is_new"), [(0x0F, True), (0x1F, False)])
+def test_a_position_is_taken_by_the_rising_edge_of_bit_4(before, is_new):
     n, out = servo(PROFILE, TARGET_POSITION=500), new_queue()
     n.controlword, n.values[slots402.CONTROLWORD] = before, 0x1F
     states402.new_controlword(n, T, out)
-    assert (n.acknowledged, n.target_counts) == ((1, 500.0) if taken else (0, 70.0))
+    assert (n.acknowledged, n.target_counts) == ((1, 500.0) if is_new else (0, 70.0))
 
 
 @pytest.mark.parametrize("mode", [PROFILE, HOMING, INTERPOLATED, CSP, CSV, CST])
@@ -519,9 +519,9 @@ def test_a_cyclic_position_is_the_set_point_of_its_modes_alone(mode, acts):
     n.setpoint_armed, n.setpoint_stale, n.controlword = 0, 1, 0x1F
     states402.new_setpoint(n, T + 9, acts)
     cyclic = {INTERPOLATED: slots402.ACTS_POSITION, CSP: slots402.ACTS_POSITION}
-    taken = {CSV: slots402.ACTS_SPEED, CST: slots402.ACTS_TORQUE, **cyclic}.get(mode) == acts
-    assert (n.setpoint_armed, n.setpoint_stale) == ((1, 0) if taken else (0, 1))
-    is_position = taken and mode in cyclic
+    is_setpoint = {CSV: slots402.ACTS_SPEED, CST: slots402.ACTS_TORQUE, **cyclic}.get(mode) == acts
+    assert (n.setpoint_armed, n.setpoint_stale) == ((1, 0) if is_setpoint else (0, 1))
+    is_position = is_setpoint and mode in cyclic
     assert (n.target_counts, n.cyclic_ns) == ((500.0, T + 9) if is_position else (70.0, T))
 
 

@@ -758,8 +758,8 @@ def test_operation_without_a_position_leaves_its_demand(mode):
 
 
 def test_only_a_homing_that_is_over_is_kept():
-    others = range(homing402._IDLE, homing402._APPROACH + 1), [homing402._FAILED]
-    stages = {stage for part in others for stage in part}
+    unfinished = range(homing402._IDLE, homing402._APPROACH + 1), [homing402._FAILED]
+    stages = {stage for part in unfinished for stage in part}
     assert motion402.HOMED not in stages
     for stage in (*stages, motion402.HOMED):
         n = dirty(HOMING)

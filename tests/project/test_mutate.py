@@ -100,12 +100,12 @@ TABLE = re.findall(
 )
 
 
-@pytest.mark.parametrize(("cell", "told"), TABLE)
-def test_the_table_tells_of_the_mutants_that_there_are(cell, told):
+@pytest.mark.parametrize(("cell", "count"), TABLE)
+def test_the_table_tells_of_the_mutants_that_there_are(cell, count):
     """After a change of a module: run scripts/mutate.py --module with it, and write its row anew."""
     names = re.findall(r"`([^`]+)`", cell)
     sources = [Source(name, (ROOT / name).read_text(), mutate.TARGETS[name].functions) for name in names]
-    assert sum(len(source.mutants()) for source in sources) == int(told)
+    assert sum(len(source.mutants()) for source in sources) == int(count)
 
 
 @pytest.mark.parametrize("name", LISTED)

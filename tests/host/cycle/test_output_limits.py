@@ -67,10 +67,10 @@ def test_a_law_pushes_on_an_axis_and_in_the_plane(law, pushes):
     assert law_pushes(rig.axes[0]) is pushes
 
 
-@pytest.mark.parametrize("of", ["joint", "world"])
-def test_a_joint_and_a_world_have_the_rig_files_limit_in_hybrid(of):
-    others = ['world.rest="law"'] if of == "world" else []
-    axis = load_rig("plane" if of == "joint" else "bench", ["mode.hybrid.motor_limit_Nm=1.0", *others]).axes[0]
+@pytest.mark.parametrize("kind", ["joint", "world"])
+def test_a_joint_and_a_world_have_the_rig_files_limit_in_hybrid(kind):
+    world = ['world.rest="law"'] if kind == "world" else []
+    axis = load_rig("plane" if kind == "joint" else "bench", ["mode.hybrid.motor_limit_Nm=1.0", *world]).axes[0]
     assert not law_pushes(axis)
     assert motor_limit_Nm(axis, "hybrid") == 1.0
 

@@ -180,7 +180,7 @@ def test_what_a_law_keeps_fills_frames_of_two_numbers(keeps, lengths):
 # a world outside
 
 
-def of_world():
+def with_world():
     """Return controllers of a rig with a world, whose first axis has finished a cycle."""
     controllers = Controllers(load_rig("bench", overrides=['world.rest="law"']), "active")
     controllers.axes[0].host.cycle = 1
@@ -188,7 +188,7 @@ def of_world():
 
 
 def test_what_a_world_gives_has_its_names_and_two_frames_behind_the_others():
-    controllers, axis = of_world()
+    controllers, axis = with_world()
     assert axis.world.on == 1
     for name, value in {
         "world_Nm": 1.5,
@@ -215,7 +215,7 @@ def test_what_a_world_gives_has_its_names_and_two_frames_behind_the_others():
 
 def test_a_world_of_nothing_is_told_as_nothing():
     """Without a minus before the 0, as a reader of the frames has it."""
-    _, axis = of_world()
+    _, axis = with_world()
     rows = new_records(Frame, MOST_FRAMES)
     assert write_axis(axis, 0, 5, rows, 0) == 5
     assert rows["word"][3:5].tolist() == [0, 10000 << 16]
@@ -223,20 +223,20 @@ def test_a_world_of_nothing_is_told_as_nothing():
 
 @pytest.mark.parametrize(("on", "seen"), [(1, [0, Limit.WORLD_CLIPPED, Limit.WORLD_CLIPPED, 0]), (0, [0, 0, 0, 0])])
 def test_what_a_world_asked_for_in_vain_shows_in_the_cycle_in_which_a_limit_acted(on, seen):
-    controllers, axis = of_world()
+    controllers, axis = with_world()
     axis.host.deadman_ok, axis.world.on = 1, on
-    found = []
+    limits = []
     for cycle in range(1, 5):
         axis.host.cycle = cycle
         axis.world.clipped += cycle in (2, 3)
-        found += said(controllers, axis)["host.limits"]
-    assert found == seen
+        limits += said(controllers, axis)["host.limits"]
+    assert limits == seen
 
 
 def test_the_limits_of_the_host_and_of_its_world_show_together():
-    controllers, axis = of_world()
+    controllers, axis = with_world()
     axis.host.deadman_ok = axis.host.clipped_torque = axis.world.clipped = 1
     axis.host.position_age, axis.host.gain, axis.state.stuck = 3, 0.5, 1
-    found = said(controllers, axis)
-    assert found["host.limits"] == [Limit.WORLD_CLIPPED | Limit.TORQUE_CLIPPED]
-    assert (found["host.gain"], found["host.stuck"], found["host.position_age"]) == ([0.5], [1], [3])
+    signals = said(controllers, axis)
+    assert signals["host.limits"] == [Limit.WORLD_CLIPPED | Limit.TORQUE_CLIPPED]
+    assert (signals["host.gain"], signals["host.stuck"], signals["host.position_age"]) == ([0.5], [1], [3])

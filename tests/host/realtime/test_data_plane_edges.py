@@ -468,6 +468,6 @@ def test_the_filters_are_the_rig_s_identifiers_in_their_order_each_whole():
 
 
 def test_a_rig_of_several_axes_hears_one_sync():
-    found = rig_filters(Controllers(load_rig("two_axes"), "hybrid"))
+    filters = rig_filters(Controllers(load_rig("two_axes"), "hybrid"))
     nodes = {base + node for base in (0x080, 0x180, 0x200, 0x580, 0x600, 0x700) for node in (1, 2, 3, 4)}
-    assert {can_id for can_id, _ in found} == {0x000, 0x080, 0x77F} | nodes
+    assert {can_id for can_id, _ in filters} == {0x000, 0x080, 0x77F} | nodes

@@ -361,11 +361,11 @@ def test_a_host_whose_standard_input_was_closed_lets_go_of_its_bus_too(host):
 
 
 def test_a_host_that_has_let_go_of_its_bus_takes_no_more_requests(host, monkeypatch):
-    asked = []
-    monkeypatch.setattr(host, "stop_wanted", lambda: asked.append(1))
+    services = []
+    monkeypatch.setattr(host, "stop_wanted", lambda: services.append(1))
     host.close()
     host.close()
-    assert asked == [1]
+    assert services == [1]
 
 
 def test_no_host_runs_on_an_adapter(monkeypatch):

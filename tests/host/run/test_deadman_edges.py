@@ -223,8 +223,8 @@ def test_the_requests_are_the_kernels():
 
 
 def watcher():
-    """Return the thread that watches a switch, if there is one."""
-    return next((one for one in threading.enumerate() if one.name == "dead man's switch"), None)
+    """Return the thread that watches a switch, if there is thread."""
+    return next((thread for thread in threading.enumerate() if thread.name == "dead man's switch"), None)
 
 
 @pytest.mark.parametrize(("low", "flags"), [(False, 1 << 2 | 1 << 9), (True, 1 << 1 | 1 << 2 | 1 << 8)])

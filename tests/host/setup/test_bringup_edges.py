@@ -49,9 +49,7 @@ class Device:
     def __init__(self, node_id, log, identity):
         self.node_id, self.log, self.values, self.faults = node_id, log, dict(identity), {}
         self.transfer, self.left, self.toggle = "segmented", b"", 0
-        self.second = (
-            None  # what a second device of this node id is asked, too, and refuses: an index, with its sub-index
-        )
+        self.second = None  # what a second device of this node id refuses: an index, with its sub-index
 
     def download(self, index, subindex, data):
         self.values[index, subindex] = data

@@ -163,8 +163,8 @@ def test_the_rig_files_list_is_set_at_its_places():
 )
 def test_a_polarity_is_read_first_and_written_only_if_it_differs(index, subindex, first):
     text = f'\n[[motor.sdo]]\nindex = {index:#x}\nsub = {subindex}\nvalue = 64\ntype = "UNSIGNED8"\nwhen = "before"\n'
-    one = settings(rig_of(drive("own"), brake("own"), text=text), "motor")[0]
-    assert shown(one) == f"{index:X}:{subindex}=40/" + ("ul" if first else "l")
+    setting = settings(rig_of(drive("own"), brake("own"), text=text), "motor")[0]
+    assert shown(setting) == f"{index:X}:{subindex}=40/" + ("ul" if first else "l")
 
 
 # the torque's slope and the cycle's period

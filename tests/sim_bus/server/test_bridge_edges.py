@@ -140,25 +140,25 @@ def test_a_frame_that_is_delayed_less_overtakes():
 
 def test_a_message_has_the_time_at_which_its_first_frame_came_and_the_delay():
     delays = iter([0, 0, 2 * MS, 2 * MS])
-    one, source, sink = way(lambda given: [(next(delays), given)])
+    forward, source, sink = way(lambda can_frame: [(next(delays), can_frame)])
     source.waiting = [frame(k) for k in (1, 2, 3, 4)]
-    one.receive(0)
-    one.give(2 * MS - 1)
-    one.give(2 * MS)
+    forward.receive(0)
+    forward.give(2 * MS - 1)
+    forward.give(2 * MS)
     assert (sink.sent, sink.stamps_ns) == ([[1, 2], [3, 4]], [0, 200 + 2 * MS])
 
 
-@pytest.mark.parametrize(("room", "most"), [(4, 2), (5, 2)])
-def test_a_bus_is_held_while_more_than_half_of_the_room_waits(room, most):
+@pytest.mark.parametrize(("room", "half"), [(4, 2), (5, 2)])
+def test_a_bus_is_held_while_more_than_half_of_the_room_waits(room, half):
     delays = iter([0, MS, 2 * MS, 3 * MS])
-    one, source, _ = way(lambda given: [(next(delays), given)], room=room)
+    forward, source, _ = way(lambda can_frame: [(next(delays), can_frame)], room=room)
     for count in range(1, 5):
         source.waiting = [FRAME]
-        one.receive(0)
-        assert source.held == (count > most)
-    for gone in range(1, 5):
-        one.give((gone - 1) * MS)
-        assert source.held == (4 - gone > most)
+        forward.receive(0)
+        assert source.held == (count > half)
+    for sent in range(1, 5):
+        forward.give((sent - 1) * MS)
+        assert source.held == (4 - sent > half)
 
 
 @pytest.mark.parametrize("flag", [0, CAN_RTR_FLAG])

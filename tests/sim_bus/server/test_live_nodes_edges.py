@@ -242,8 +242,8 @@ def test_a_kind_that_is_asked_for_needs_its_objects(tmp_path):
 def test_a_kind_with_terminals_needs_one_of_them(tmp_path):
     with pytest.raises(NodeError, match=r"0\.eds: got no 6000h, 6200h, 6401h, 6411h, which kind io acts on"):
         nodes(tmp_path, (MOTOR, 5), kind=IO401)
-    one = with_array(another(MOTOR), "6200", "0x0005", 1)
-    assert nodes(tmp_path, (one, 5), kind=IO401).kinds == [IO401]
+    outputs = with_array(another(MOTOR), "6200", "0x0005", 1)
+    assert nodes(tmp_path, (outputs, 5), kind=IO401).kinds == [IO401]
 
 
 # what drives drive
@@ -251,19 +251,19 @@ def test_a_kind_with_terminals_needs_one_of_them(tmp_path):
 
 def test_each_drive_has_its_own_shaft_and_nothing_else_has_one(tmp_path):
     coarse = edit(MOTOR, "608Fsub1", DefaultValue=4096)
-    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), (BRAKE, 7), (coarse, 8))
-    world = found.make_world(1_000_000, True)
+    live = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), (BRAKE, 7), (coarse, 8))
+    world = live.make_world(1_000_000, True)
     assert world.axis_of[:4].tolist() == [-1, 0, -1, 1]
     assert world.plant["counts_rad"].tolist() == [8192 / math.tau, 4096 / math.tau]
-    none, fine, still_none, half = (tuple(device.record["switch_counts"]) for device in world.devices)
-    assert none == still_none == (-math.inf, math.inf, math.inf, math.inf)
-    assert fine == tuple(2 * count for count in half) == switch_counts(world.devices[1].dictionary)
+    brake, fine, second_brake, halved = (tuple(device.record["switch_counts"]) for device in world.devices)
+    assert brake == second_brake == (-math.inf, math.inf, math.inf, math.inf)
+    assert fine == tuple(2 * count for count in halved) == switch_counts(world.devices[1].dictionary)
 
 
 def test_switches_that_are_placed_are_on_every_axis(tmp_path):
-    found = nodes(tmp_path, (MOTOR, 6), (MOTOR, 8))
-    found.place_switches((-1.0, 0.0, 1.0, 2.0))
-    devices = found.make_world(1_000_000, True).devices
+    live = nodes(tmp_path, (MOTOR, 6), (MOTOR, 8))
+    live.place_switches((-1.0, 0.0, 1.0, 2.0))
+    devices = live.make_world(1_000_000, True).devices
     assert [device.record["switch_counts"].tolist() for device in devices] == [[-1.0, 0.0, 1.0, 2.0]] * 2
 
 
@@ -272,15 +272,15 @@ def test_a_load_is_for_a_drive(tmp_path):
     with pytest.raises(NodeError, match=r"^a load is for a drive without --io, and got kind brake, generic; take"):
         nodes(tmp_path, (BRAKE, 5), (another(MOTOR), 6), load=load)
     assert nodes(tmp_path, (BRAKE, 5), load=Load()).kinds == [BRAKE404]
-    found = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), load=load)
-    assert found.make_world(1_000_000, True).plant["coulomb"].tolist() == [0.5]
+    live = nodes(tmp_path, (BRAKE, 5), (MOTOR, 6), load=load)
+    assert live.make_world(1_000_000, True).plant["coulomb"].tolist() == [0.5]
 
 
 def test_a_drive_behind_converters_has_no_load(tmp_path, monkeypatch):
     monkeypatch.setattr(live_nodes, "read_io_file", lambda *what: "plan")
     monkeypatch.setattr(live_nodes, "Pump", lambda *what: "pump")
-    found = nodes(tmp_path, (MOTOR, 6), io=tmp_path / "io.toml")
-    assert found.make_world(1_000_000, True).axis_of[:1].tolist() == [-1]
+    live = nodes(tmp_path, (MOTOR, 6), io=tmp_path / "io.toml")
+    assert live.make_world(1_000_000, True).axis_of[:1].tolist() == [-1]
     with pytest.raises(NodeError, match=r"^a load is for a drive without --io"):
         nodes(tmp_path, (MOTOR, 6), io=tmp_path / "io.toml", load=Load(friction_Nm=0.5))
 

@@ -302,7 +302,7 @@ def test_a_connection_is_taken_and_waits_for_its_greeting(admission):
 
 @pytest.mark.parametrize("buses", [(0,), (1,), (0, 1), ()])
 def test_a_connection_is_on_the_bus_whose_listener_it_came_to(admission, tmp_path, monkeypatch, buses):
-    listeners, asked = [], []
+    listeners, accepted = [], []
     for k in range(2):
         listeners.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK))
         listeners[k].bind(str(tmp_path / str(k)))
@@ -311,19 +311,19 @@ def test_a_connection_is_on_the_bus_whose_listener_it_came_to(admission, tmp_pat
     several.listen(*listeners)
     stations = several._world.bus["stations"]["half"]
     stations[:] = 9
-    theirs = [socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in buses]
-    for client, bus in zip(theirs, buses, strict=True):
+    clients = [socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in buses]
+    for client, bus in zip(clients, buses, strict=True):
         client.connect(str(tmp_path / str(bus)))
     accept = several._accept
-    monkeypatch.setattr(several, "_accept", lambda bus: asked.append(bus) or accept(bus))
+    monkeypatch.setattr(several, "_accept", lambda bus: accepted.append(bus) or accept(bus))
     several.accept()
-    assert asked == list(buses)  # no other one costs a silent client its place
+    assert accepted == list(buses)  # no other listener costs a silent client its place
     assert list(several.sockets) == list(range(len(buses)))
     for i, bus in enumerate(buses):
         assert stations[:, STATION + i].tolist() == [bus, bus]
     assert (stations == 9).sum() == stations.size - 2 * len(buses)
-    for one in (*listeners, *theirs, *several.sockets.values(), several._door):
-        one.close()
+    for end in (*listeners, *clients, *several.sockets.values(), several._door):
+        end.close()
     os.close(several._spare)
 
 
