@@ -247,7 +247,7 @@ class Communication:
     def _refresh_guarding(self, subindex: int, t_ns: int) -> None:
         node, number = self._node, self._dictionary.number
         node["guard_on"] = number(0x1017) == 0
-        node["guard_life_ns"] = number(0x100C) * number(0x100D) * 1_000_000 if node["guard_on"] else 0
+        node["guard_life_ns"] = min(number(0x100C) * number(0x100D) * 1_000_000, NEVER_NS) if node["guard_on"] else 0
         guarding.restart(node)
 
     def _refresh_time(self, subindex: int, t_ns: int) -> None:

@@ -40,6 +40,7 @@ MAP_OFFSET = 0x200
 _HISTORY = 0x1003  # its entries exist or not, and belong to the core
 _OCTETS = DATA_TYPES[0x000A]
 _NUMBERS = ("bool", "int", "real", "time")
+_WIDEST = 0xFFFFFFFF  # of an object that a core reads, whichever type a file gives it: its time in ns is an int64
 
 
 class DictionaryState(NamedTuple):
@@ -147,11 +148,11 @@ class Dictionary:
             self.values[slot] = _raw(data_type(variable), value)
 
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
-        """Return an integer object, or `fallback` if the EDS does not have it."""
+        """Return an integer object, within +-FFFFFFFFh, or `fallback` if the EDS does not have it."""
         key = (index, subindex)
         slot = self._slots.get(key)
         value = self._store.get(key) if slot is None else self._in_slot(key, slot)
-        return value if isinstance(value, int) else fallback
+        return max(-_WIDEST, min(value, _WIDEST)) if isinstance(value, int) else fallback
 
     def own_number(self, index: int, subindex: int, fallback: int) -> int:
         """Return an integer object of 2000h to 5FFFh as our files define it; `fallback` in another vendor's

@@ -37,11 +37,9 @@ __all__ = ["COUNTS_REV", "DRIVE402", "with_own_mode"]
 
 _MODE, _SUPPORTED_MODES = 0x6060, 0x6502
 _TARGET_TORQUE = (0x6071, 0)
-_NO_SPEED_LIMIT = 0xFFFFFFFF
 _HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
 """Causes of CiA 402's connection loss, for which 6007h applies."""
-_LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
-_SCALED = frozenset((0x2010, 0x607D, 0x6080, VELOCITY_UNIT, 0x60C2, *(index for index, _ in SCALE_OBJECTS)))
+_SCALED = frozenset((0x2010, VELOCITY_UNIT, 0x60C2, *(index for index, _ in SCALE_OBJECTS)))
 _TORQUE, _SPEED = constant(slots402.ACTS_TORQUE), constant(slots402.ACTS_SPEED)
 _POSITION, _NO = constant(slots402.ACTS_POSITION), constant(0)
 _AXIS: tuple[Key, ...] = ((0x607B, 1), (0x60B8, 0))
@@ -103,19 +101,13 @@ def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
-    """Set the largest speed (6080h in rpm, by the scale of 6064h), whether 607Dh or 6080h may limit, the gains
-    2010h, the units and the period 60C2h.
-    """
+    """Set the units, the gains 2010h, and the period 60C2h."""
     number, own_number = objects.number, objects.own_number
 
     def value(index: int, subindex: int) -> int:
         return number(index, subindex, 0)
 
-    rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
     counts_rev = position_scale(value).counts_rev or COUNTS_REV
-    record["speed_max_counts_s"] = 1e18 if rpm == _NO_SPEED_LIMIT else rpm * counts_rev / 60
-    positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
-    record["guarded"] = int(rpm != _NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))
     record["index_counts"], record["unit_counts_s"] = counts_rev, 1.0
     with suppress(ValueError):
         record["unit_counts_s"] = velocity_unit(value)[0] / (2 * math.pi) * counts_rev

@@ -42,8 +42,10 @@ __all__ = [
     "control_speed",
     "enter",
     "high_limit",
+    "is_guarded",
     "is_position_mode",
     "is_speed_mode",
+    "largest_speed",
     "low_limit",
     "next_deadline",
     "other_mode",
@@ -101,6 +103,21 @@ def velocity(n: NodeRecord) -> float:
 
 
 @kernel
+def largest_speed(n: NodeRecord) -> float:
+    """Return 6080h in counts/s; infinity if it limits nothing."""
+    rpm = n.values[slots402.MAX_MOTOR_SPEED]
+    return math.inf if rpm == slots402.NO_SPEED_LIMIT else rpm * n.index_counts / 60.0
+
+
+@kernel
+def is_guarded(n: NodeRecord) -> bool:
+    """Tell whether 607Dh or 6080h may limit."""
+    values = n.values
+    positions = values[slots402.LOWEST_POSITION] != _LOWEST or values[slots402.HIGHEST_POSITION] != _HIGHEST
+    return bool(positions or values[slots402.MAX_MOTOR_SPEED] != slots402.NO_SPEED_LIMIT)
+
+
+@kernel
 def _beyond(n: NodeRecord) -> int:
     """Return +1 if no upward push is allowed, -1 for downward, 2 for both directions: 607Dh and 6080h.
 
@@ -110,9 +127,9 @@ def _beyond(n: NodeRecord) -> int:
     lowest, highest = n.values[slots402.LOWEST_POSITION], n.values[slots402.HIGHEST_POSITION]
     if is_position_mode(n):
         lowest, highest = _LOWEST, _HIGHEST
-    speed = n.in_velocity_counts_s
-    up = (position >= highest and highest != _HIGHEST) or speed >= n.speed_max_counts_s
-    down = (position <= lowest and lowest != _LOWEST) or speed <= -n.speed_max_counts_s
+    speed, largest = n.in_velocity_counts_s, largest_speed(n)
+    up = (position >= highest and highest != _HIGHEST) or speed >= largest
+    down = (position <= lowest and lowest != _LOWEST) or speed <= -largest
     return (2 if down else 1) if up else -1 if down else 0
 
 
@@ -122,7 +139,7 @@ def high_limit(n: NodeRecord) -> int:
     values = n.values
     high: int = min(min(values[slots402.MAX_TORQUE], values[slots402.POSITIVE_LIMIT]), values[slots402.MAX_CURRENT])
     high = max(high, 0)  # a file may give a limit a signed type
-    return 0 if n.guarded and _beyond(n) > 0 else high
+    return 0 if _beyond(n) > 0 else high
 
 
 @kernel
@@ -131,7 +148,8 @@ def low_limit(n: NodeRecord) -> int:
     values = n.values
     most = min(min(values[slots402.MAX_TORQUE], abs(values[slots402.NEGATIVE_LIMIT])), values[slots402.MAX_CURRENT])
     low: int = -max(most, 0)
-    return 0 if n.guarded and (_beyond(n) == -1 or _beyond(n) == 2) else low
+    beyond = _beyond(n)
+    return 0 if beyond == -1 or beyond == 2 else low
 
 
 @kernel
@@ -291,12 +309,11 @@ def _speed_target(n: NodeRecord) -> float:
     target = float(values[slots402.TARGET_VELOCITY])
     if n.mode == _CSV:
         target += values[slots402.VELOCITY_OFFSET]
-    fastest = max(min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s / n.unit_counts_s), 0.0)
+    fastest = max(min(float(values[slots402.MAX_VELOCITY]), largest_speed(n) / n.unit_counts_s), 0.0)
     clipped: float = min(max(target, -fastest), fastest)
-    if n.guarded:
-        beyond = _beyond(n)
-        if (clipped > 0.0 and beyond > 0) or (clipped < 0.0 and (beyond == -1 or beyond == 2)):
-            clipped = 0.0
+    beyond = _beyond(n)
+    if (clipped > 0.0 and beyond > 0) or (clipped < 0.0 and (beyond == -1 or beyond == 2)):
+        clipped = 0.0
     n.limited = 1 if clipped != target else 0
     return clipped
 

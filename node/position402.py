@@ -38,7 +38,7 @@ _SHORTEST_NS, _LONGEST_NS = 1_000_000, 100_000_000  # of a measured time between
 @kernel
 def fastest(n: NodeRecord) -> float:
     """Return the largest speed allowed, counts/s: 607Fh, 6080h."""
-    speed: float = min(float(n.values[slots402.MAX_VELOCITY]) * n.unit_counts_s, n.speed_max_counts_s)
+    speed: float = min(float(n.values[slots402.MAX_VELOCITY]) * n.unit_counts_s, motion402.largest_speed(n))
     return max(speed, 0.0)
 
 

@@ -79,8 +79,6 @@ class DriveFields(Record):
     slowing: int  # active ramp of node.motion402 to torque 0, or 0
     slowing_to: int  # power state after the ramp
     slowing_ns: int  # time at which the ramp began
-    guarded: int  # 1: 607Dh or 6080h may limit
-    speed_max_counts_s: float  # largest speed, 6080h
     speed_demand: float  # speed demand, counts/s
     speed_kp: float  # proportional gain, per mille per count/s
     speed_ki: float  # integral gain, per mille per count
@@ -98,7 +96,7 @@ class DriveFields(Record):
     load_counts_s2: float  # acceleration of the axis by one per mille of torque, counts/s^2; 0: unknown
     unit_counts_s: float  # counts/s in one unit of 606Ch (60A9h)
     zero_counts: int  # position of the axis at which 6064h is 0
-    index_counts: float  # counts from one index pulse to the next
+    index_counts: float  # counts of one turn of the motor, from one index pulse to the next
     switch_counts: Annotated[FloatField, 4]  # places: negative limit, home from and to, positive limit
     probe_function: int  # 60B8h that acts
     probe_counts: float  # position at the last look at the probes

@@ -1,8 +1,9 @@
-"""Relax limits and defaults of a vendor's EDS that would block a simulated device.
+"""Relax types, limits and defaults of a vendor's EDS that would mislead or block a simulated device.
 
-An EDS file is written by hand. Some limits contradict CiA's own range of an object, and some
+An EDS file is written by hand. Some types lack the sign of CiA's own: an unsigned 60FFh would take
+-1000 for full speed forwards. Some limits contradict CiA's own range of an object, and some
 defaults, which the real device replaces by its stored values, would prevent any torque of the
-drive. Both are relaxed, and each change is reported. Files of our own devices are not changed.
+drive. All are relaxed, and each change is reported. Files of our own devices are not changed.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from coulombus.eds.cia301 import DATA_TYPES, DataType
 from coulombus.eds.description import Description, Object, Variable
-from coulombus.eds.drive_axis import of_axis
+from coulombus.eds.drive_axis import first_axis_object, of_axis
 from coulombus.eds.drive_scale import defaults, position_scale
 from coulombus.eds.own_devices import identity_from_1018h
 from coulombus.node import slots402
@@ -32,6 +34,15 @@ _RANGES: tuple[tuple[range, range, int, str], ...] = (
     (range(0x1A00, 0x1C00), range(1, 65), _MAPPED, "index, sub-index and length of an object"),
 )
 """Objects of CiA 301: indices, sub-indices, the value that each must be able to hold, and its meaning."""
+
+_SIGNED = frozenset((
+    *(0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6061, 0x6062, 0x6063, 0x6064, 0x606B, 0x606C),
+    *(0x6071, 0x6074, 0x6077, 0x6078, 0x607A, 0x607B, 0x607C, 0x607D, 0x6098, 0x60B0, 0x60B1, 0x60B2),
+    *(0x60BA, 0x60BB, 0x60BC, 0x60BD, 0x60C1, 0x60F4, 0x60F8, 0x60FF),
+))  # fmt: skip
+"""Objects of a drive that have a sign (CiA 402). Those of CiA 301 have none."""
+_COMMUNICATION = range(0x1000, 0x2000)
+_INTEGERS = {(kind.bits, kind.signed): kind for kind in DATA_TYPES.values() if kind.kind == "int"}
 
 _FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
 _BY_USER = (0x6060, 0x6502)
@@ -89,8 +100,10 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
     """
     if profile is GENERIC or of_identity(identity_from_1018h(description)) is not GENERIC:
         return Opened(description)
+    signed = _with_signs(description, profile)
+    description = signed.description
     changed: dict[Key, Variable] = {}
-    remarks = [*_limits(description, changed)]
+    remarks = [*signed.remarks, *_limits(description, changed)]
     if profile.behaviour is DRIVE402.behaviour:
         remarks += _defaults(description, changed, axis)
         remarks += _encoder(description, changed, counts_rev, axis)
@@ -98,11 +111,14 @@ def opened(description: Description, profile: Profile, counts_rev: int = 0, axis
 
 
 def completed(description: Description, profile: Profile) -> Opened:
-    """Return the description of a drive without a rig, with the defaults that its file lacks: those of a drive
-    without these objects. Nobody else writes them before it is used.
+    """Return the description of a device without a rig, with CiA's signs, and for a drive with the defaults that its
+    file lacks: those of a drive without these objects. Nobody else writes them before it is used.
     """
     changed: dict[Key, Variable] = {}
     remarks: list[str] = []
+    if of_identity(identity_from_1018h(description)) is GENERIC:
+        signed = _with_signs(description, profile)
+        description, remarks = signed.description, [*signed.remarks]
     if profile.behaviour is DRIVE402.behaviour:
         for key, value in {(0x1000, 0): _SERVO, **_OF_THE_DRIVE}.items():
             variable = _variable(description, key)
@@ -117,12 +133,49 @@ def completed(description: Description, profile: Profile) -> Opened:
 
 def _changed(description: Description, changed: Mapping[Key, Variable], remarks: Sequence[str]) -> Opened:
     if not changed:
-        return Opened(description)
+        return Opened(description, tuple(remarks))
     objects = dict(description.objects)
     for (index, subindex), variable in changed.items():
         entry: Object = objects[index]
         objects[index] = replace(entry, variables={**entry.variables, subindex: variable})
     return Opened(replace(description, objects=objects), tuple(remarks))
+
+
+def _with_signs(description: Description, profile: Profile) -> Opened:
+    """Give each integer the sign of CiA's type: the bytes on the bus stay."""
+    changed: dict[Key, Variable] = {}
+    labels: dict[tuple[DataType, DataType], list[str]] = {}
+    for index, entry in description.objects.items():
+        signed = profile.behaviour is DRIVE402.behaviour and first_axis_object(index) in _SIGNED
+        if not signed and index not in _COMMUNICATION:
+            continue
+        for subindex, variable in entry.variables.items():
+            kind, is_count = DATA_TYPES.get(variable.data_type), subindex == 0 and len(entry.variables) > 1
+            if kind is None or kind.kind != "int" or kind.signed == signed or is_count:
+                continue
+            meant = _INTEGERS[kind.bits, signed]
+            changed[index, subindex] = _of_type(variable, meant)
+            labels.setdefault((kind, meant), []).append(_label(variable))
+    remarks = [
+        f"{description.path}: {_first_of(names)} is {kind.name} in the file, but has "
+        f"{'a sign (CiA 402)' if meant.signed else 'no sign (CiA 301)'}; served as {meant.name}"
+        for (kind, meant), names in labels.items()
+    ]
+    return _changed(description, changed, remarks)
+
+
+def _of_type(variable: Variable, kind: DataType) -> Variable:
+    """Return the variable with another integer type of the same width, and the limits that it can hold."""
+    typed = replace(variable, data_type=kind.code)
+    lowest, highest = typed.whole or (0, 0)
+    low, high = variable.low, variable.high
+    if isinstance(variable.default, int):
+        typed = replace(typed, default=(variable.default - lowest) % (1 << kind.bits) + lowest)
+    return replace(
+        typed,
+        low=low if low and lowest < low <= highest else None,
+        high=high if high is not None and lowest <= high <= highest else None,
+    )
 
 
 def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
@@ -139,9 +192,8 @@ def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[
                 labels.append(_label(variable))
                 highest = variable.high
         if labels:
-            more = f" and {len(labels) - 1} more" if len(labels) > 1 else ""
             yield (
-                f"{description.path}: {labels[0]}{more} has the HighLimit {highest}, but is {what} (CiA 301); "
+                f"{description.path}: {_first_of(labels)} has the HighLimit {highest}, but is {what} (CiA 301); "
                 "served without that limit"
             )
 
@@ -207,6 +259,10 @@ def _stands(variable: Variable) -> str:
 
 def _remark(description: Description, label: str, stands: str, served: str, why: str) -> str:
     return f"{description.path}: {label} is {stands} in the file, which {why}; served as {served}"
+
+
+def _first_of(labels: Sequence[str]) -> str:
+    return labels[0] + (f" and {len(labels) - 1} more" if len(labels) > 1 else "")
 
 
 def _label(variable: Variable) -> str:

@@ -77,9 +77,12 @@ PROBE_FUNCTION = 71
 PROBE_STATUS = 72
 PROBE_RISING = 73  # of probe 1; of probe 2: + 2
 PROBE_FALLING = 74
+MAX_MOTOR_SPEED = 77  # rpm
 
 NO_WINDOW = 0xFFFFFFFF
 """6065h or 6067h that is off."""
+NO_SPEED_LIMIT = 0xFFFFFFFF
+"""6080h that limits nothing."""
 
 OBJECTS: tuple[CoreObject, ...] = (
     *COMMON,
@@ -122,6 +125,7 @@ OBJECTS: tuple[CoreObject, ...] = (
     CoreObject(0x607D, 1, LOWEST_POSITION, -0x80000000),
     CoreObject(0x607D, 2, HIGHEST_POSITION, 0x7FFFFFFF),
     CoreObject(0x607F, 0, MAX_VELOCITY, 0x7FFFFFFF),
+    CoreObject(0x6080, 0, MAX_MOTOR_SPEED, NO_SPEED_LIMIT),
     CoreObject(0x6081, 0, PROFILE_VELOCITY, 0x7FFFFFFF),
     CoreObject(0x6083, 0, ACCELERATION, 1_000_000),
     CoreObject(0x6084, 0, DECELERATION, 1_000_000),

@@ -143,7 +143,7 @@ def _at_limit(n: NodeRecord, objects: Objects, target: int) -> Iterator[Reason]:
     if not objects.number(0x6080, 0, 1) or not objects.number(0x607F, 0, 1):
         yield Reason("speed_limit", "6080h or 607Fh limits the speed to 0 (6041h, bit 11): write it")
     position, low, high = int(n["in_position_counts"]), objects.number(0x607D, 1, 0), objects.number(0x607D, 2, 0)
-    if n["guarded"] and (position >= high if target > 0 else position <= low):
+    if position >= high if target > 0 else position <= low:
         yield Reason("limit", f"the position {position} is at its limit 607Dh, {low} to {high} (6041h, bit 11)")
 
 

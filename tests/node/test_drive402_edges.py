@@ -36,7 +36,6 @@ def drive(state=OE, torque=300, **values):
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.node_id, n.emcy_id = KIND_DRIVE, 5, 1, state, 10, 1, 0x81
     n.modes = 0x30C
     n.next_ns, n.demand_ns, n.setpoint_armed, n.setpoint_ns = T + 10**9, T, 1, T
-    n.speed_max_counts_s = math.inf
     n.torque_demand_pm = n.out_torque_pm = float(torque)
     v = n.values
     v[slots402.MODE], v[slots402.TARGET_TORQUE], v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS] = (
@@ -52,6 +51,7 @@ def drive(state=OE, torque=300, **values):
         2000,
     )
     v[slots402.LOWEST_POSITION], v[slots402.HIGHEST_POSITION] = -(2**31), 2**31 - 1
+    v[slots402.MAX_MOTOR_SPEED] = slots402.NO_SPEED_LIMIT
     for name, value in values.items():
         v[SLOTS[name]] = value
     return n
@@ -536,7 +536,8 @@ def test_a_servo_drive_follows_its_position_in_a_position_mode_only(mode, follow
 @pytest.mark.parametrize(("guarded", "sync_armed", "watched"), [(1, 0, 1), (1, 1, 0), (0, 0, 0), (0, 1, 0)])
 def test_a_limit_of_position_or_speed_is_watched_where_no_sync_does(guarded, sync_armed, watched):
     n = drive(OE, 300)
-    n.guarded, n.sync_armed = guarded, sync_armed
+    n.values[slots402.HIGHEST_POSITION] -= guarded
+    n.sync_armed = sync_armed
     torque(n)
     assert n.ramping == watched
 

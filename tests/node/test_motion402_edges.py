@@ -36,7 +36,7 @@ def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.controlword = KIND_DRIVE, 5, 1, OE, mode, 15
     n.modes, n.demand_ns, n.torque_demand_pm, n.out_torque_pm = 0x30C, T, torque, torque
     n.in_velocity_counts_s = n.speed_demand = speed
-    n.speed_kp, n.speed_ki, n.speed_max_counts_s = 0.25, 64.0, 1e6
+    n.speed_kp, n.speed_ki, n.index_counts = 0.25, 64.0, 30.0  # 6080h of 2 is 1 count/s
     v = n.values
     v[slots402.MODE] = v[slots402.MODE_DISPLAY] = mode
     v[slots402.MAX_TORQUE], v[slots402.POSITIVE_LIMIT], v[slots402.NEGATIVE_LIMIT], v[slots402.MAX_CURRENT] = (
@@ -46,6 +46,7 @@ def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
         900,
     )
     v[slots402.LOWEST_POSITION], v[slots402.HIGHEST_POSITION] = LOWEST, HIGHEST
+    v[slots402.MAX_MOTOR_SPEED] = 2_000_000
     v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS], v[slots402.MAX_VELOCITY] = 1000, 1000, 10**6
     v[slots402.ACCELERATION], v[slots402.DECELERATION], v[slots402.QUICK_STOP_DECELERATION] = 1000, 2000, 4000
     for name, value in values.items():
@@ -100,7 +101,6 @@ def test_the_limits_are_the_least_of_three(values, high, low):
     assert (motion402.high_limit(n), motion402.low_limit(n)) == (high, low)
 
 
-@pytest.mark.parametrize("guarded", [0, 1])
 @pytest.mark.parametrize(
     ("position", "speed", "up", "down"),
     [
@@ -122,17 +122,37 @@ def test_the_limits_are_the_least_of_three(values, high, low):
         (-100, 500.0, False, False),
     ],
 )
-def test_beyond_a_position_or_a_speed_nothing_pushes_further(guarded, position, speed, up, down):
-    n = drive(LOWEST_POSITION=-100, HIGHEST_POSITION=100)
-    n.guarded, n.in_position_counts, n.in_velocity_counts_s, n.speed_max_counts_s = guarded, position, speed, 500.0
-    assert motion402.high_limit(n) == (800 if up or not guarded else 0)
-    assert motion402.low_limit(n) == (-700 if down or not guarded else 0)
+def test_beyond_a_position_or_a_speed_nothing_pushes_further(position, speed, up, down):
+    n = drive(LOWEST_POSITION=-100, HIGHEST_POSITION=100, MAX_MOTOR_SPEED=1000)
+    n.in_position_counts, n.in_velocity_counts_s = position, speed
+    assert motion402.high_limit(n) == (800 if up else 0)
+    assert motion402.low_limit(n) == (-700 if down else 0)
+
+
+@pytest.mark.parametrize(
+    ("rpm", "speed"), [(0, 0.0), (1, 0.5), (3, 1.5), (2**32 - 2, 2147483647.0), (2**32 - 1, math.inf)]
+)
+def test_6080h_is_in_rpm_of_the_motor(rpm, speed):
+    assert motion402.largest_speed(drive(MAX_MOTOR_SPEED=rpm)) == speed
+
+
+@pytest.mark.parametrize(
+    ("values", "guarded"),
+    [
+        ({}, False),
+        ({"LOWEST_POSITION": LOWEST + 1}, True),
+        ({"HIGHEST_POSITION": HIGHEST - 1}, True),
+        ({"MAX_MOTOR_SPEED": 2**32 - 2}, True),
+    ],
+)
+def test_607Dh_and_6080h_guard_a_drive_unless_they_limit_nothing(values, guarded):
+    assert motion402.is_guarded(drive(**{"MAX_MOTOR_SPEED": 2**32 - 1, **values})) == guarded
 
 
 @pytest.mark.parametrize("position", [LOWEST, HIGHEST])
 def test_the_ends_of_the_counter_are_no_limits(position):
     n = drive()
-    n.guarded, n.in_position_counts = 1, position
+    n.in_position_counts = position
     assert (motion402.high_limit(n), motion402.low_limit(n)) == (800, -700)
 
 
@@ -445,25 +465,24 @@ def test_csv_follows_its_target_and_offset_at_once(sign, halted, demand):
 
 @BOTH
 @pytest.mark.parametrize(
-    ("fastest", "most", "target", "demand", "limited"),
+    ("fastest", "rpm", "target", "demand", "limited"),
     [
-        (-9, 1e6, 401, 0.0, 1),
-        (400, -1.0, 401, 0.0, 1),
-        (400, 1e6, 400, 400.0, 0),
-        (400, 1e6, 401, 400.0, 1),
-        (900, 300.0, 401, 300.0, 1),
-        (900, 800.0, 401, 401.0, 0),
+        (-9, 2**32 - 1, 401, 0.0, 1),
+        (400, -1, 401, 0.0, 1),
+        (400, 2**32 - 1, 400, 400.0, 0),
+        (400, 2**32 - 1, 401, 400.0, 1),
+        (900, 600, 401, 300.0, 1),
+        (900, 1600, 401, 401.0, 0),
     ],
 )
-def test_a_speed_is_within_607Fh_and_6080h(sign, fastest, most, target, demand, limited):
-    n = drive(CSV, 0.0, 0.0, TARGET_VELOCITY=sign * target, MAX_VELOCITY=fastest)
-    n.speed_max_counts_s, n.speed_kp, n.limited = most, 0.0, 1
+def test_a_speed_is_within_607Fh_and_6080h(sign, fastest, rpm, target, demand, limited):
+    n = drive(CSV, 0.0, 0.0, TARGET_VELOCITY=sign * target, MAX_VELOCITY=fastest, MAX_MOTOR_SPEED=rpm)
+    n.speed_kp, n.limited = 0.0, 1
     n.speed_ki = 0.0
     moved(n, MS)
     assert (n.speed_demand, n.limited) == (sign * demand, limited)
 
 
-@pytest.mark.parametrize("guarded", [0, 1])
 @pytest.mark.parametrize(
     ("position", "speed", "target", "allowed"),
     [
@@ -472,20 +491,20 @@ def test_a_speed_is_within_607Fh_and_6080h(sign, fastest, most, target, demand, 
         (100, 0.0, 1, False), (100, -500.0, 0, True),
     ],
 )  # fmt: skip
-def test_a_speed_leads_no_further_beyond_607Dh(guarded, position, speed, target, allowed):
-    n = drive(CSV, 0.0, speed, TARGET_VELOCITY=target, LOWEST_POSITION=-100, HIGHEST_POSITION=100)
-    n.guarded, n.in_position_counts, n.speed_max_counts_s = guarded, position, 500.0
+def test_a_speed_leads_no_further_beyond_607Dh(position, speed, target, allowed):
+    n = drive(CSV, 0.0, speed, TARGET_VELOCITY=target, LOWEST_POSITION=-100, HIGHEST_POSITION=100, MAX_MOTOR_SPEED=1000)
+    n.in_position_counts = position
     n.speed_kp = n.speed_ki = 0.0
     moved(n, MS)
-    assert n.speed_demand == (target if allowed or not guarded else 0.0)
-    assert n.limited == (not allowed and guarded == 1)
+    assert n.speed_demand == (target if allowed else 0.0)
+    assert n.limited == (not allowed)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_very_slow_speed_leads_back_only(sign, side):
-    n = drive(CSV, 0.0, 0.0, TARGET_VELOCITY=sign * 5, LOWEST_POSITION=-100, HIGHEST_POSITION=100)
-    n.guarded, n.in_position_counts, n.speed_max_counts_s, n.speed_kp, n.speed_ki = 1, side * 100, 0.5, 0.0, 0.0
+    n = drive(CSV, 0.0, 0.0, TARGET_VELOCITY=sign * 5, LOWEST_POSITION=-100, HIGHEST_POSITION=100, MAX_MOTOR_SPEED=1)
+    n.in_position_counts, n.speed_kp, n.speed_ki = side * 100, 0.0, 0.0
     moved(n, MS)
     assert n.speed_demand == (0.0 if sign == side else sign * 0.5)
 
@@ -539,8 +558,8 @@ def test_a_torque_at_its_limit_is_not_beyond_it(target, integral, limit):
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf])
 def test_a_speed_that_is_no_number_is_torque_0(speed):
-    n = drive(CSV, 300.0, speed, TARGET_VELOCITY=50)
-    n.integral_pm, n.speed_max_counts_s = 300.0, math.inf
+    n = drive(CSV, 300.0, speed, TARGET_VELOCITY=50, MAX_MOTOR_SPEED=2**32 - 1)
+    n.integral_pm = 300.0
     assert moved(n, MS) == 0.0
     assert (n.integral_pm, n.speed_demand) == (0.0, 0.0)
 
@@ -687,17 +706,17 @@ def test_the_first_and_the_last_mode_of_6502h_are_taken(mode):
 
 
 def test_a_velocity_is_in_the_units_of_60A9h():
-    n = drive(CSV, 0.0, 100.0, TARGET_VELOCITY=60, MAX_VELOCITY=1000)
-    n.unit_counts_s, n.speed_max_counts_s, n.speed_ki = 2.0, 100.0, 0.0
-    assert motion402.velocity(n) == 50.0
-    assert moved(n, MS) == pytest.approx(0.25 * (50.0 - 50.0))
+    n = drive(CSV, 0.0, 98.0, TARGET_VELOCITY=60, MAX_VELOCITY=1000, MAX_MOTOR_SPEED=200)
+    n.unit_counts_s, n.speed_ki = 2.0, 0.0
+    assert motion402.velocity(n) == 49.0
+    assert moved(n, MS) == pytest.approx(0.25 * (50.0 - 49.0))
     assert (n.speed_demand, n.limited) == (50.0, 1)  # 6080h is 100 counts/s
 
 
 @pytest.mark.parametrize("zero_counts", [0, 30, -30, 2**31])
 def test_a_position_is_counted_from_the_home_position(zero_counts):
     n = drive(LOWEST_POSITION=-100, HIGHEST_POSITION=100)
-    n.guarded, n.zero_counts = 1, zero_counts
+    n.zero_counts = zero_counts
     for position, up, down in ((99, 1, 1), (100, 0, 1), (-99, 1, 1), (-100, 1, 0)):
         n.in_position_counts = position + zero_counts
         assert (motion402.high_limit(n), motion402.low_limit(n)) == (800 * up, -700 * down)
@@ -705,8 +724,7 @@ def test_a_position_is_counted_from_the_home_position(zero_counts):
 
 @pytest.mark.parametrize("mode", POSITIONS)
 def test_a_position_mode_keeps_its_demand_in_607Dh_and_its_torque_free(mode):
-    n = drive(mode, LOWEST_POSITION=-100, HIGHEST_POSITION=100)
-    n.guarded, n.speed_max_counts_s = 1, 500.0
+    n = drive(mode, LOWEST_POSITION=-100, HIGHEST_POSITION=100, MAX_MOTOR_SPEED=1000)
     for position in (-101, 101):
         n.in_position_counts = position
         assert (motion402.high_limit(n), motion402.low_limit(n)) == (800, -700)

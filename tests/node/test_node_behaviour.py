@@ -42,7 +42,9 @@ class Node:
         v = n.values
         if kind == KIND_DRIVE:
             n.power_state, n.mode, n.torque_demand_pm, n.out_torque_pm = state, 10, 300.0, 300.0
-            n.speed_max_counts_s, n.in_velocity_counts_s = math.inf, 77.0
+            n.in_velocity_counts_s = 77.0
+            v[slots402.LOWEST_POSITION], v[slots402.HIGHEST_POSITION] = -(2**31), 2**31 - 1
+            v[slots402.MAX_MOTOR_SPEED] = slots402.NO_SPEED_LIMIT
             v[slots402.MODE], v[slots402.TARGET_TORQUE], v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS] = (
                 10,
                 300,

@@ -11,9 +11,25 @@ from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402, with_own_mode
 from coulombus.node.io401 import IO401, IO404
 from coulombus.node.kinds import GENERIC, of_description
-from coulombus.node.relaxed_eds import opened
+from coulombus.node.relaxed_eds import completed, opened
 from coulombus.wire.frame import CAN_RTR_FLAG
-from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, with_array, with_variable, without
+from foreign_eds import (
+    BRAKE,
+    I8,
+    I16,
+    I32,
+    MOTOR,
+    U8,
+    U16,
+    U32,
+    U64,
+    another,
+    dual,
+    edited,
+    with_array,
+    with_variable,
+    without,
+)
 from node_bench import MS, Bench, SdoAborted
 from places import CORPUS, beside
 
@@ -129,6 +145,101 @@ def test_defaults_that_block_a_drive_are_opened_and_told(section, keys, label, v
     (remark,) = found.remarks
     assert remark.startswith(f"x.eds: {label}")
     assert found.description.variable(0x6040, 0) == described(text).variable(0x6040, 0)
+
+
+@pytest.mark.parametrize(
+    ("section", "keys", "remark", "typed"),
+    [
+        ("60FF", {"DataType": U32, "DefaultValue": "0xFFFFFC18"}, "60FFh is UNSIGNED32 in the file, but has a sign (CiA 402)",
+         (0x0004, None, None, -1000)),
+        ("60FF", {"DataType": U32, "DefaultValue": 7, "LowLimit": 0, "HighLimit": 3000}, "60FFh is UNSIGNED32", (0x0004, None, 3000, 7)),
+        ("60FF", {"DataType": U32, "LowLimit": 5, "HighLimit": "0xFFFFFFFF"}, "60FFh is UNSIGNED32", (0x0004, 5, None, 0)),
+        ("607Dsub1", {"DataType": U32, "DefaultValue": "0x80000000"}, "607Dh:01 is UNSIGNED32", (0x0004, None, None, -(1 << 31))),
+        ("6060", {"DataType": U8, "DefaultValue": 255}, "6060h is UNSIGNED8", (0x0002, None, None, -1)),
+        ("1017", {"DataType": I16, "DefaultValue": -25536, "LowLimit": -32768, "HighLimit": 32767},
+         "1017h is INTEGER16 in the file, but has no sign (CiA 301)", (0x0006, None, 32767, 40000)),
+        ("1400sub5", {"DataType": I16, "DefaultValue": 10}, "1400h:05 is INTEGER16", (0x0006, None, None, 10)),
+    ],
+)  # fmt: skip
+def test_an_integer_has_the_sign_of_cia_s_type(section, keys, remark, typed):
+    text = edited(edited(another(MOTOR), "6072", DefaultValue=1000), section, **keys)
+    index, _, subindex = section.partition("sub")
+    for reading in (opened(described(text), DRIVE402), completed(described(text), DRIVE402)):
+        variable = reading.description.variable(int(index, 16), int(subindex or 0))
+        assert (variable.data_type, variable.low, variable.high, variable.default) == typed
+        assert reading.remarks[0].startswith(f"x.eds: {remark}")
+        assert opened(reading.description, DRIVE402).remarks == ()
+    ours = edited(MOTOR, section, **keys)
+    assert (
+        completed(described(ours), DRIVE402).description.variable(int(index, 16), int(subindex or 0)).data_type
+        != typed[0]
+    )
+
+
+def test_a_sign_belongs_to_an_object_of_a_drive_and_to_no_count():
+    text = edited(edited(another(MOTOR), "6072", DefaultValue=1000), "607Dsub0", DataType=I8)
+    assert opened(described(text), DRIVE402).remarks == completed(described(text), DRIVE402).remarks == ()
+    unsigned = edited(dual(text), "68FF", DataType=U32)
+    assert [remark.partition(" is ")[0] for remark in opened(described(unsigned), DRIVE402, axis=2).remarks][:1] == [
+        "x.eds: 68FFh"
+    ]
+    for kind in (IO401, GENERIC):
+        assert completed(described(unsigned), kind).remarks == ()
+
+
+@pytest.mark.parametrize(
+    "section", ["1006", "1007", "100C", "100D", "1015", "1017", "1029sub1", "1400sub5", "1800sub5"]
+)
+@pytest.mark.parametrize("data_type", [U32, U64])
+@pytest.mark.parametrize("written", [1, 0x7F, 0xFF])
+def test_the_largest_time_of_a_wide_type_is_taken(section, data_type, written):
+    index, _, subindex = section.partition("sub")
+    text = edited(
+        edited(another(MOTOR), "100D", DataType=data_type, HighLimit=""), "100C", DataType=data_type, HighLimit=""
+    )
+    bench = served(
+        edited(text, section, DataType=data_type, DefaultValue=0, LowLimit="", HighLimit="", AccessType="rw")
+    )
+    data = bytes((*(255,) * (3 if data_type == U32 else 7), written))
+    for key in ((0x100C, 0), (0x100D, 0), (int(index, 16), int(subindex or 0))):
+        bench.download(*key, data)
+        assert bench.upload(*key) == data
+    bench.nmt(1)
+    bench.sync()
+    bench.run(20 * MS)
+    assert (bench.node.guard_life_ns > 0) == (section != "1017")  # who sends heartbeats is not guarded
+
+
+@pytest.mark.parametrize("data_type", [I32, U32])
+def test_a_negative_speed_turns_backwards_whatever_sign_its_type_has(data_type):
+    bench = served(edited(another(MOTOR), "60FF", DataType=data_type))
+    enabled(bench, 9)
+    bench.write(0x60FF, 0, 0xFFFFFC18, 4)
+    assert bench.node.out_torque_pm < 0
+    bench.run(MS)
+    assert bench.node.speed_demand == -1000
+
+
+@pytest.mark.parametrize(
+    ("section", "limit", "free"), [("6080", 0, 0xFFFFFFFF), ("607Dsub1", 0, -(1 << 31)), ("607Dsub2", 0, (1 << 31) - 1)]
+)
+def test_a_limit_that_an_rpdo_writes_limits(section, limit, free):
+    text = edited(edited(another(MOTOR), section, PDOMapping=1, AccessType="rww"), "6072", DefaultValue=1000)
+    bench = served(text)
+    mapped = int(section[:4], 16) << 16 | int(section[7:] or 0) << 8 | 32
+    for index, subindex, value, size in (
+        (0x1400, 1, 0x80000205, 4), (0x1400, 2, 255, 1), (0x1600, 0, 0, 1), (0x1600, 1, mapped, 4), (0x1600, 0, 1, 1),
+        (0x1400, 1, 0x205, 4),
+    ):  # fmt: skip
+        bench.write(index, subindex, value, size)
+    enabled(bench, 10)
+    bench.write(0x6071, 0, (-100 if section == "607Dsub1" else 100) & 0xFFFF, 2)
+    torques = []
+    for value in (free, limit, free):
+        bench.frame(0x205, (value & 0xFFFFFFFF).to_bytes(4, "little"))
+        bench.run(2 * MS)
+        torques.append(abs(int(bench.node.out_torque_pm)))
+    assert torques == [100, 0, 100]
 
 
 def test_a_position_range_of_nothing_is_the_whole_range():

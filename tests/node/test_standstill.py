@@ -115,7 +115,6 @@ def test_a_position_at_its_limit_is_named_in_its_direction():
         device = drive(VELOCITY, target)
         device[0x607D, 1], device[0x607D, 2] = -100, 100
         device.record["in_position_counts"], device.record["limited"] = position, 1
-        device.record["guarded"] = 1
         assert reason(device) == name
 
 

@@ -9,7 +9,8 @@ from node_bench import EDS
 MOTOR = (EDS / "motor.eds").read_text()
 BRAKE = (EDS / "mr_brake.eds").read_text()
 
-U8, U16, U32, I16, I32 = "0x0005", "0x0006", "0x0007", "0x0003", "0x0004"
+U8, U16, U32, U64 = "0x0005", "0x0006", "0x0007", "0x001B"
+I8, I16, I32 = "0x0002", "0x0003", "0x0004"
 
 
 def another(text):
