@@ -75,15 +75,15 @@ def _load_plane(rig: Rig) -> None:
 def _nodes() -> Iterator[None]:
     """Compile the nodes' kernels."""
     rig = load_rig(RIG)
-    out = new_queue()
+    out, nodes = new_queue(), new_nodes(1)
     for stand_in in stand_ins(rig.one_axis()):
-        device = Device(stand_in.served.description, stand_in.node_id, stand_in.profile, new_nodes(1)[0])
+        device = Device(stand_in.served.description, stand_in.node_id, stand_in.profile, nodes[0])
         device.power_on(0, out)
     servo_address()
     yield
-    Entry(own_time.on_time).load(device.record, 0, out)
-    Entry(own_time.on_frame).load(device.record, 0, 0, 0, 0, out)
-    Entry(own_time.confinement_changed).load(device.record, 0, 0, out)
+    Entry(own_time.on_time).load(nodes, 0, 0, out)
+    Entry(own_time.on_frame).load(nodes, 0, 0, 0, 0, 0, out)
+    Entry(own_time.confinement_changed).load(nodes, 0, 0, 0, out)
 
 
 def _host() -> Iterator[None]:

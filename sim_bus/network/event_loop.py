@@ -271,7 +271,7 @@ def _end(world: World, course: CourseFunction, b: BusRecord) -> None:
     for i in range(nodes.shape[0]):
         change, b.stations[i].confinement = b.stations[i].confinement, 0
         if change != 0:
-            own_time.confinement_changed(nodes[i], t, change, world.out)
+            own_time.confinement_changed(nodes, i, t, change, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
                 actuate(world, course, world.axis_of[i], t)
@@ -376,7 +376,7 @@ def run(
             a = axis_of[i]
             if a >= 0:
                 _measure(world, course, a, t)
-            own_time.on_time(nodes[i], t, out)
+            own_time.on_time(nodes, i, t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
                 actuate(world, course, a, t)
@@ -394,7 +394,7 @@ def run(
                 if nodes[i].powered and receives(b, i) and on_its_bus(b, i):
                     if axis_of[i] >= 0 and core.reads_inputs(nodes[i], b.can_id):
                         _read(world, course, axis_of[i], t)
-                    if own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out) != 0:
+                    if own_time.on_frame(nodes, i, t, b.can_id, b.length, b.word, out) != 0:
                         w.service[w.services] = i
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])

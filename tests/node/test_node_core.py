@@ -95,7 +95,7 @@ def test_a_late_call_gives_no_burst_of_heartbeats():
     bench.write(0x1017, 0, 10, 2)
     bench.take()
     bench.t = 95 * MS
-    on_time(bench.nodes[0], bench.t, bench.out)
+    on_time(bench.nodes, 0, bench.t, bench.out)
     bench._collect()
     assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
     assert bench.node.next_ns == 105 * MS

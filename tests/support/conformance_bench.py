@@ -59,14 +59,14 @@ class VirtualLink:
 
     def deliver(self, can_id: int, data: bytes, length: int) -> None:
         arguments = (self.t, can_id, length, data_word(data), self.out)
-        if on_frame(self.nodes[0], *arguments):
+        if on_frame(self.nodes, 0, *arguments):
             self.device.service(*arguments)
         self._collect()
 
     def until(self, t_ns: int) -> None:
         while int(self.nodes[0].next_ns) <= t_ns:
             self.t = max(self.t, int(self.nodes[0].next_ns))
-            on_time(self.nodes[0], self.t, self.out)
+            on_time(self.nodes, 0, self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 

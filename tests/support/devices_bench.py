@@ -84,7 +84,7 @@ class DevicesLink:
     def _deliver(self, can_id, data, length):
         for row, device in zip(self._rows, self.devices, strict=True):
             arguments = (self.t, can_id, len(data) if length is None else length, data_word(data), self.out)
-            if on_frame(row[0], *arguments):
+            if on_frame(row, 0, *arguments):
                 device.service(*arguments)
         self._collect()
         for other in self.others:
@@ -109,7 +109,7 @@ class DevicesLink:
             self.t = max(self.t, self._next_ns())
             for row in self._rows:
                 if int(row[0].next_ns) <= self.t:
-                    on_time(row[0], self.t, self.out)
+                    on_time(row, 0, self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 

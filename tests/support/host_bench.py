@@ -6,11 +6,13 @@ import copy
 import math
 from functools import cache
 
+import numpy as np
+
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
+from coulombus.host.cycle import axes
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.host.cycle.step import begin, finish, on_frame
 from coulombus.host.cycle.transitions import allowed
 from coulombus.kernels.decorator import Entry
 from coulombus.rigs.rig import load_rig
@@ -22,7 +24,9 @@ VELOCITY = ("role.velocity.object=606C", f"role.velocity.scale_rad_s={2 * math.p
 """Overrides by which the drive tells its velocity, too: in a TPDO of its own."""
 
 rig_of = cache(load_rig)
-_begin, _on_frame = Entry(begin), Entry(on_frame)
+OWNER = np.zeros(0x800, np.int64)
+"""Every identifier is the only axis's."""
+_begin, _on_frame = Entry(axes.begin), Entry(axes.on_frame)
 _finish = {}
 """Law -> the kernel for it. To ask for a law's type at each call takes longer than all else."""
 
@@ -98,13 +102,14 @@ class HostBench:
         return values
 
     def frame(self, can_id, length, word):
-        return _on_frame(self.axis, self.t_ns, can_id, length, word)
+        return _on_frame(self.k.records, OWNER, self.t_ns, can_id, length, word)
 
     def finish(self):
         law = self.k.law_function
         if law not in _finish:
-            _finish[law] = Entry(finish)
-        _finish[law](self.axis, law, self.t_ns, self.out)
+            _finish[law] = Entry(axes.finish)
+        self.h.waiting = 1
+        _finish[law](self.k.records, law, self.t_ns, axes.WINDOW_OVER, self.out, None)
 
     def cycle(self):
         """One cycle; afterwards `sent` has the image of what the host sent.
@@ -114,7 +119,7 @@ class HostBench:
         before = self.phase
         self.out["count"] = 0
         self.t_ns = self.h.cycle * MS
-        _begin(self.axis, self.t_ns, self.out)
+        _begin(self.k.records, self.t_ns, self.out)
         self.t_ns += 500_000
         if self.heartbeats and self.h.cycle % 20 == 0:
             for node in self.c.node_id[: self.c.nodes]:

@@ -77,7 +77,7 @@ class Bench:
         size = len(data) if length is None else length
         word = data_word(data)
         arguments = (self.t, can_id, size, word, self.out)
-        if on_frame(self.node, *arguments):
+        if on_frame(self.nodes, 0, *arguments):
             self.device.service(*arguments)
         self._collect()
 
@@ -92,7 +92,7 @@ class Bench:
             assert calls < 1_000_000, "the node asks for no end of calls"
             self.t = max(self.t, int(self.node.next_ns))
             before = self.t
-            on_time(self.nodes[0], self.t, self.out)
+            on_time(self.nodes, 0, self.t, self.out)
             assert self.node.next_ns > before
             self._collect()
         self.t = t_ns

@@ -5,13 +5,25 @@ from __future__ import annotations
 import math
 import random
 
+import numpy as np
 import pytest
 
 from coulombus.host.cycle.plausibility import SPEED_STEP, compare_felt
 from coulombus.host.cycle.records import Phase
+from coulombus.kernels.decorator import kernel
 from host_bench import HostBench
 
 LEVEL_NM, SPEED_COUNTS = 1.0, 5.0
+
+
+@kernel
+def _compared(axes, speeds, torques, motor_Nm):
+    """Compare cycle by cycle; return whether it trips."""
+    c, h, trips = axes[0].control, axes[0].host, False
+    for k in range(len(speeds)):
+        h.v_counts, h.handle_Nm = speeds[k], torques[k]
+        trips = compare_felt(c, h, motor_Nm) or trips
+    return trips
 
 
 class Felt:
@@ -19,7 +31,7 @@ class Felt:
 
     def __init__(self, sign=1, **control):
         bench = HostBench("hybrid").enter(Phase.RUN)
-        self.c, self.h = bench.c, bench.h
+        self.axes, self.c, self.h = bench.k.records, bench.c, bench.h
         self.c.rad_count = sign * abs(self.c.rad_count)
         self.c.viscous = self.c.inertia = self.c.friction_Nm = 0.0
         for name, value in control.items():
@@ -29,11 +41,12 @@ class Felt:
 
     def cycles(self, count, felt_Nm, counts=SPEED_COUNTS, motor_Nm=0.0):
         """Go on; return whether it trips, and in how many cycles the error counted."""
-        before, trips = int(self.h.implausible_torque), False
-        for k in range(count):
-            self.h.v_counts = counts(k) if callable(counts) else counts
-            self.h.handle_Nm = felt_Nm(k) if callable(felt_Nm) else felt_Nm
-            trips = compare_felt(self.c, self.h, motor_Nm) or trips
+        before = int(self.h.implausible_torque)
+        speeds, torques = (
+            np.array([value(k) if callable(value) else value for k in range(count)], float)
+            for value in (counts, felt_Nm)
+        )
+        trips = _compared(self.axes, speeds, torques, motor_Nm)
         return trips, int(self.h.implausible_torque) - before
 
 
