@@ -24,7 +24,7 @@ help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 18
 
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
-	@$(BIN)/coulombus warm-up --without-arm && $(BIN)/coulombus demo
+	@$(BIN)/coulombus warm-up --for run && $(BIN)/coulombus demo
 
 test: $(VENV)/.dev  ## the tests: those against the wall clock, and beside them those in virtual time
 	@PYTHON=$(BIN)/python scripts/test
@@ -80,7 +80,7 @@ endef
 
 $(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
 	@echo "installing (once), half a minute ..."
-	$(call begin_to_compile,,--without-arm)
+	$(call begin_to_compile,,--for run)
 	@$(call install,--no-compile --editable '.[web]')
 	@touch $@
 

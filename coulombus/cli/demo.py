@@ -30,9 +30,7 @@ class DemoOptions(RigOptions):
 
     seed: SeedOption
     out: Annotated[Path, option("Directory for the results.", type=OutputDirectory(), default=Path("out/demo"))]
-    virtual: Annotated[
-        bool, option("In virtual time: some seconds instead of half a minute, and the same bytes every time.")
-    ]
+    virtual: Annotated[bool, option("In virtual time: the whole schedule, and the same bytes every time.")]
     plane: Annotated[bool, option("Friction in the plane, on an arm (the rig plane, or --rig), in virtual time.")]
 
 
@@ -42,8 +40,8 @@ def demo(options: DemoOptions, as_json: JsonOption) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
     still.
 
-    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the
-    simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
+    Runs both modes in real time, each through the hold and one stroke there and back of the rig's
+    schedule: the simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
     active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless active
     oscillates and hybrid holds still. --virtual adds hybrid at the active display's friction, and
     the brake alone. --plane shows a hand that holds the tip of an arm and draws a circle, with
@@ -74,7 +72,7 @@ def demo(options: DemoOptions, as_json: JsonOption) -> None:
             with progress(not as_json) as report:
                 result = run_demo(rig, out, seed=options.seed, progress=lambda mode, t: report(mode, t, total))
         else:
-            result = _real_demo(options, total, as_json)
+            result = _real_demo(options, as_json)
         shown = {name: run for name, run in displays(rig).items() if name in result.results}
         columns = {TITLES[name]: (run.mode, blocks(out / f"{name}.pcapng")) for name, run in shown.items()}
         figure_14(columns, out / "demo.png")
@@ -160,17 +158,19 @@ def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str
     )
 
 
-def _real_demo(options: DemoOptions, total: float, as_json: bool) -> Demo:
-    from coulombus.lab.demo.real_demo import run_real_demo
+def _real_demo(options: DemoOptions, as_json: bool) -> Demo:
+    from coulombus.lab.demo.real_demo import run_real_demo, shown_s
     from coulombus.rigs.overrides import SHARED_MACHINE
     from coulombus.rigs.rig import load_rig
     from coulombus.system.stop_signals import Signals
 
     both = (*SHARED_MACHINE, *options.overrides)
     say("for a machine shared with others:\n" + "\n".join(f"  --set {text}" for text in SHARED_MACHINE))
+    rig = load_rig(options.rig_name, both).alone()
+    total = shown_s(rig)
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
-            load_rig(options.rig_name, both).alone(),
+            rig,
             options.rig_name,
             options.out,
             seed=options.seed,

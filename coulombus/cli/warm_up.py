@@ -11,6 +11,7 @@ import click
 from coulombus.cli.errors import EXIT_STATUS, errors, print_json
 from coulombus.cli.options import JsonOption, option, with_options
 from coulombus.cli.tables import echo, running
+from coulombus.kernels.kernel_cache import SCOPES
 from coulombus.system.exit import say
 
 __all__ = ["warm_up_command"]
@@ -19,7 +20,15 @@ __all__ = ["warm_up_command"]
 @click.command("warm-up", epilog=EXIT_STATUS)
 @with_options
 def warm_up_command(
-    without_arm: Annotated[bool, option("Leave out what only an arm in the plane needs.")],
+    scope: Annotated[
+        str,
+        option(
+            "--for",
+            "run: a bus and a host in real time; simulate: also in virtual time; arm: also an arm in the plane, all.",
+            type=click.Choice(SCOPES),
+            default=SCOPES[-1],
+        ),
+    ],
     as_json: JsonOption,
 ) -> None:
     """Compile the code of run, emulate, simulate and sweep in advance, with two processes.
@@ -30,13 +39,13 @@ def warm_up_command(
     \b
     Examples:
       coulombus warm-up
-      coulombus warm-up --without-arm --json
+      coulombus warm-up --for run --json
     """
     with errors():
         from coulombus.lab.warm_up import warm_up
 
         with _progress() as report:
-            result = warm_up(report, arm=not without_arm)
+            result = warm_up(report, scope=scope)
         if as_json:
             print_json(result.as_dict())
         elif result.directory is None:

@@ -30,7 +30,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from coulombus.kernels.kernel_cache import alone, choose, is_cached
+from coulombus.kernels.kernel_cache import SCOPES, alone, choose, is_cached
 from coulombus.kernels.sources import source_key, source_stamp
 
 __all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_warm", "kernel", "warming"]
@@ -104,26 +104,22 @@ def _name(function: Callable[..., Any]) -> str:
     return f"{function.__module__}.{function.__qualname__}"
 
 
-def _warmed(arm: bool) -> str:
-    return f"warm{'-arm' if arm else ''}-{source_stamp()}"
+def _warmed(scope: str) -> str:
+    return f"warm-{scope}-{source_stamp()}"
 
 
-def is_warm(arm: bool = True) -> bool:
-    """Tell whether `warming` has ended for these sources, so that no start compiles.
-
-    Without `arm`, a start with an arm in the plane may still compile.
-    """
-    return JIT_DISABLED or any(is_cached(CACHE_DIR, _warmed(with_arm)) for with_arm in {True, arm})
+def is_warm(scope: str = SCOPES[-1]) -> bool:
+    """Tell whether `warming` has ended for these sources, so that no start of this scope compiles."""
+    return JIT_DISABLED or any(is_cached(CACHE_DIR, _warmed(wider)) for wider in SCOPES[SCOPES.index(scope) :])
 
 
 @contextmanager
-def warming(arm: bool = True) -> Iterator[None]:
-    """Compile all kernels in this context, by processes of `kernels.kernel_cache.leave_lock_to_parent`.
+def warming(scope: str = SCOPES[-1]) -> Iterator[None]:
+    """Compile the kernels of a scope in this context, by processes of `kernels.kernel_cache.leave_lock_to_parent`.
 
-    Every other process that needs a kernel waits for its end. Without `arm`, those of an arm in the plane
-    are left out.
+    Every other process that needs a kernel waits for its end.
     """
-    with alone(CACHE_DIR, _warmed(arm)):
+    with alone(CACHE_DIR, _warmed(scope)):
         yield
 
 

@@ -33,7 +33,23 @@ from coulombus.kernels.compile_notice import compiling
 from coulombus.system.file_lock import lock_file
 from coulombus.system.private_folder import make_private, reason_against, reason_against_above
 
-__all__ = ["LONGEST_S", "MARKER", "alone", "choose", "damaged", "empty", "is_cached", "leave_lock_to_parent", "say"]
+__all__ = [
+    "LONGEST_S",
+    "MARKER",
+    "SCOPES",
+    "alone",
+    "choose",
+    "damaged",
+    "empty",
+    "is_cached",
+    "leave_lock_to_parent",
+    "say",
+]
+
+SCOPES = ("run", "simulate", "arm")
+"""Kernels of a host and a bus in real time; also those of the loop in virtual time; also those of an arm in the
+plane, all.
+"""
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"

@@ -21,9 +21,10 @@ from typing import IO, Any, NamedTuple
 
 from coulombus.kernels.compile_notice import compiling
 from coulombus.kernels.decorator import CACHE_DIR, JIT_DISABLED, is_warm, warming
+from coulombus.kernels.kernel_cache import SCOPES
 from coulombus.system.errors import CoulombusError
 
-__all__ = ["ARM", "GROUPS", "WarmUp", "WarmUpError", "warm_up"]
+__all__ = ["GROUPS", "WarmUp", "WarmUpError", "warm_up"]
 
 MODULE = "coulombus.lab.warm_up_steps"
 WORKERS = 2
@@ -35,6 +36,8 @@ class KernelGroup(NamedTuple):
     steps: int
     after: tuple[str, ...] = ()
     """Groups whose kernels it calls."""
+    scope: str = "run"
+    """The first of `kernels.kernel_cache.SCOPES` that needs it."""
 
 
 GROUPS: Mapping[str, KernelGroup] = MappingProxyType(
@@ -43,14 +46,12 @@ GROUPS: Mapping[str, KernelGroup] = MappingProxyType(
         "nodes": KernelGroup(2),
         "server": KernelGroup(1, ("bus", "nodes")),
         "host": KernelGroup(1, ("nodes",)),
-        "loop": KernelGroup(1, ("host", "server")),
-        "arm": KernelGroup(3, ("bus", "host")),
-        "arm_loop": KernelGroup(1, ("arm", "loop")),
+        "loop": KernelGroup(1, ("host", "server"), "simulate"),
+        "arm": KernelGroup(3, ("bus", "host"), "arm"),
+        "arm_loop": KernelGroup(1, ("arm", "loop"), "arm"),
     }
 )
 """By name; of those that can begin, the first does."""
-ARM = frozenset({"arm", "arm_loop"})
-"""Groups that only an arm in the plane needs."""
 
 
 class WarmUpError(CoulombusError):
@@ -83,13 +84,13 @@ class WarmUp:
         }
 
 
-def warm_up(progress: Callable[[int, int], None] | None = None, *, arm: bool = True) -> WarmUp:
-    """Compile every kernel that is not in the cache; another process that needs one waits for the end.
+def warm_up(progress: Callable[[int, int], None] | None = None, *, scope: str = SCOPES[-1]) -> WarmUp:
+    """Compile every kernel of a scope that is not in the cache; another process that needs one waits for the end.
 
     Parameters
     ----------
     progress : called with the number of finished steps, and of all
-    arm : also compile what only an arm in the plane needs
+    scope : of `kernels.kernel_cache.SCOPES`
 
     Raises
     ------
@@ -97,19 +98,20 @@ def warm_up(progress: Callable[[int, int], None] | None = None, *, arm: bool = T
         no directory for compiled code can be written, or a compiling process ended
     """
     begin, compiled = time.monotonic(), 0
-    if not is_warm(arm):
+    if not is_warm(scope):
         if CACHE_DIR is None:
             raise WarmUpError("compiled code cannot be kept: no directory can be written; name one by NUMBA_CACHE_DIR")
-        with warming(arm):
-            if not is_warm(arm):  # another process may have compiled all while this one waited
+        with warming(scope):
+            if not is_warm(scope):  # another process may have compiled all while this one waited
                 compiling()
-                compiled = _compile(arm, progress or (lambda done, of: None))
+                compiled = _compile(scope, progress or (lambda done, of: None))
     return WarmUp(compiled, time.monotonic() - begin, None if JIT_DISABLED else CACHE_DIR)
 
 
-def _compile(arm: bool, progress: Callable[[int, int], None]) -> int:
-    """Run all groups; return the number of functions compiled."""
-    waiting = {name: group for name, group in GROUPS.items() if arm or name not in ARM}
+def _compile(scope: str, progress: Callable[[int, int], None]) -> int:
+    """Run the groups of a scope; return the number of functions compiled."""
+    scopes = SCOPES[: SCOPES.index(scope) + 1]
+    waiting = {name: group for name, group in GROUPS.items() if group.scope in scopes}
     done, of, counts = 0, sum(group.steps for group in waiting.values()), dict.fromkeys(waiting, 0)
     running: dict[str, subprocess.Popen[bytes]] = {}
     try:

@@ -138,8 +138,9 @@ def compiled() -> Outcome:
 
     if is_warm():
         return Outcome(True, f"kept in {CACHE_DIR}")
-    if is_warm(arm=False):
-        return Outcome(True, f"kept in {CACHE_DIR}; for an arm in the plane: {NAME} warm-up")
+    if is_warm("run"):
+        what = "for an arm in the plane" if is_warm("simulate") else "for virtual time and an arm in the plane"
+        return Outcome(True, f"kept in {CACHE_DIR}; {what}: {NAME} warm-up")
     if CACHE_DIR is None:
         return Outcome(False, "every start compiles: no directory for compiled code can be written", f"# {_PLACE}")
     return Outcome(False, f"not all code is in {CACHE_DIR}: the first start compiles", f"{NAME} warm-up")

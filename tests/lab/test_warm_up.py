@@ -15,10 +15,11 @@ import pytest
 
 from coulombus.kernels import decorator
 from coulombus.kernels.decorator import JIT_DISABLED, is_warm, warming
+from coulombus.kernels.kernel_cache import SCOPES
 from coulombus.kernels.sources import source_stamp
 from coulombus.lab import warm_up as module
 from coulombus.lab import warm_up_steps
-from coulombus.lab.warm_up import ARM, GROUPS, WORKERS, WarmUp, WarmUpError, warm_up
+from coulombus.lab.warm_up import GROUPS, WORKERS, WarmUp, WarmUpError, warm_up
 from places import ROOT
 
 COMPILED = pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
@@ -85,21 +86,21 @@ def test_without_a_compiler_nothing_is_compiled():
 
 
 def test_what_is_warm_is_compiled_no_more(monkeypatch):
-    monkeypatch.setattr(module, "is_warm", lambda arm: True)
+    monkeypatch.setattr(module, "is_warm", lambda scope: True)
     monkeypatch.setattr(module, "_start", None)
     assert warm_up().compiled == 0
 
 
 def test_what_another_process_compiled_meanwhile_is_compiled_no_more(monkeypatch, tmp_path):
     answers = iter((False, True))
-    monkeypatch.setattr(module, "is_warm", lambda arm: next(answers))
+    monkeypatch.setattr(module, "is_warm", lambda scope: next(answers))
     monkeypatch.setattr(module, "CACHE_DIR", tmp_path)
     monkeypatch.setattr(module, "_start", None)
     assert warm_up().compiled == 0
 
 
 def test_without_a_place_for_the_code_the_remedy_is_named(monkeypatch):
-    monkeypatch.setattr(module, "is_warm", lambda arm: False)
+    monkeypatch.setattr(module, "is_warm", lambda scope: False)
     monkeypatch.setattr(module, "CACHE_DIR", None)
     with pytest.raises(WarmUpError, match="name one by NUMBA_CACHE_DIR") as error:
         warm_up()
@@ -112,7 +113,7 @@ def started(monkeypatch, text):
     def start(group):
         return subprocess.Popen([sys.executable, "-c", text, group], stdout=subprocess.PIPE, bufsize=0)
 
-    monkeypatch.setattr(module, "is_warm", lambda arm: False)
+    monkeypatch.setattr(module, "is_warm", lambda scope: False)
     monkeypatch.setattr(module, "CACHE_DIR", Path())
     monkeypatch.setattr(module, "_start", start)
 
@@ -150,20 +151,25 @@ def test_a_group_that_ends_early_is_an_error(monkeypatch, end, how):
         warm_up()
 
 
-def test_without_an_arm_its_groups_are_left_out(monkeypatch):
+@pytest.mark.parametrize(
+    ("scope", "left_out"), [("run", {"loop", "arm", "arm_loop"}), ("simulate", {"arm", "arm_loop"}), ("arm", set())]
+)
+def test_groups_of_wider_scopes_are_left_out(monkeypatch, scope, left_out):
     started(monkeypatch, "print(1)")
-    assert warm_up(arm=False).compiled == len(GROUPS) - len(ARM)
+    begun, start = [], module._start
+    monkeypatch.setattr(module, "_start", lambda name: (begun.append(name), start(name))[1])
+    assert warm_up(scope=scope).compiled == len(begun)
+    assert set(begun) == set(GROUPS) - left_out
 
 
 @COMPILED
-def test_what_is_warm_for_an_arm_is_warm_for_all(monkeypatch, tmp_path):
+@pytest.mark.parametrize("warmed", range(len(SCOPES)))
+def test_what_is_warm_for_a_scope_is_warm_for_those_within(monkeypatch, tmp_path, warmed):
     monkeypatch.setattr(decorator, "CACHE_DIR", tmp_path)
-    warm = []
-    for arm in (False, True):
-        with warming(arm):
-            pass
-        warm += [is_warm(arm=False), is_warm()]
-    assert warm == [True, False, True, True]
+    with warming(SCOPES[warmed]):
+        pass
+    assert [is_warm(scope) for scope in SCOPES] == [k <= warmed for k in range(len(SCOPES))]
+    assert is_warm() == is_warm("arm")
 
 
 def test_the_result_for_json_is_plain():

@@ -19,12 +19,13 @@ from coulombus.host.run.run import Outputs, Run
 from coulombus.host.setup.bringup import check_plan
 from coulombus.lab.demo.demo import DEMO_MODES, Demo, judge
 from coulombus.lab.warm_up import warm_up
+from coulombus.rigs.plant import StrokePhase
 from coulombus.rigs.rig import Rig
 from coulombus.system.realtime import die_with_parent
 from coulombus.system.stop_signals import Signals, Stopped
 from coulombus.wire.address import BusAddress
 
-__all__ = ["SimProcess", "run_real_demo"]
+__all__ = ["SimProcess", "run_real_demo", "shown_s"]
 
 END_TIMEOUT_S = 10.0
 
@@ -83,6 +84,15 @@ class SimProcess:
             self.process.communicate()
 
 
+def shown_s(rig: Rig) -> float:
+    """Return the length of a display: the schedule to the end of its first stroke there and back [s]."""
+    axis = rig.one_axis()
+    for phase, begin_s in zip(axis.phases, axis.phase_starts_s, strict=False):
+        if isinstance(phase, StrokePhase):
+            return begin_s + min(phase.duration_s, 2.0 * (phase.move_s + phase.dwell_s))
+    return rig.schedule_s
+
+
 def run_real_demo(
     rig: Rig,
     rig_name: str,
@@ -105,7 +115,7 @@ def run_real_demo(
     check_plan(rig)
     directory.mkdir(parents=True, exist_ok=True)
     results: dict[str, RunResult] = {}
-    warm_up(arm=rig.kinematics is not None)
+    warm_up(scope="run" if rig.kinematics is None else "arm")
     with ExitStack() as stack:
         sims = {}
         for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over
@@ -121,7 +131,7 @@ def run_real_demo(
 
             picture = directory / f"{mode}-timing.png"
             outputs = Outputs(record=directory / f"{mode}.pcapng", histogram=picture, force=True)
-            run = Run(rig, mode, rig.schedule_s, outputs=outputs, virtual=False)
+            run = Run(rig, mode, shown_s(rig), outputs=outputs, virtual=False)
             results[mode] = real_run(run, bus=sim.address, signals=signals, progress=report)
             if signals is not None and signals.number:
                 raise Stopped(signals.number, "before the demo was over")

@@ -27,6 +27,7 @@ from coulombus.host.doctor.latency import (
     measure_latency,
     read_cyclictest,
 )
+from coulombus.kernels import decorator
 from coulombus.kernels.decorator import JIT_DISABLED
 from coulombus.rigs.rig import load_rig
 from coulombus.system.realtime import bus_cpu, cpu_list, default_cpu
@@ -401,6 +402,22 @@ def test_every_check_is_in_the_document(examined):
 
 
 # software and disk
+
+
+@pytest.mark.parametrize(
+    ("scopes", "is_ok", "text"),
+    [
+        ({"run", "simulate", "arm"}, True, "kept in /cache"),
+        ({"run", "simulate"}, True, "kept in /cache; for an arm in the plane: coulombus warm-up"),
+        ({"run"}, True, "kept in /cache; for virtual time and an arm in the plane: coulombus warm-up"),
+        (set(), False, "not all code is in /cache: the first start compiles"),
+    ],
+)
+def test_what_a_first_start_compiles_is_named(monkeypatch, scopes, is_ok, text):
+    monkeypatch.setattr(decorator, "CACHE_DIR", Path("/cache"))
+    monkeypatch.setattr(decorator, "is_warm", lambda scope="arm": scope in scopes)
+    outcome = software.compiled()
+    assert (outcome.ok, outcome.found) == (is_ok, text)
 
 
 def test_another_module_of_this_name_is_found(tmp_path):

@@ -88,12 +88,28 @@ def test_the_mean_is_drawn_over_the_band_of_a_limit_cycle():
     assert legend == ["motor, commanded", "hand, not measured", "band: smallest to largest; line: mean"]
 
 
+@pytest.mark.parametrize(
+    ("overrides", "seconds"),
+    [
+        ((), 1.0 + 4.0 + 2 * (1.0 + 1.0)),
+        (("phase.2.duration_s=2.5",), 1.0 + 4.0 + 2.5),
+        (("phase.0.duration_s=3.0", "phase.2.move_s=0.5"), 3.0 + 4.0 + 2 * (0.5 + 1.0)),
+    ],
+)
+def test_a_display_in_real_time_ends_with_the_first_stroke_there_and_back(overrides, seconds):
+    assert real_demo.shown_s(load_rig("bench", overrides)) == pytest.approx(seconds)
+
+
+def test_without_a_stroke_the_whole_schedule_is_displayed():
+    assert real_demo.shown_s(load_rig("bench", (SCHEDULE,))) == 3.0
+
+
 def test_all_is_compiled_before_a_simulation_starts(monkeypatch, tmp_path):
     class Compiles(Exception):
         pass
 
-    def warm_up(arm):
-        assert not arm
+    def warm_up(scope):
+        assert scope == "run"
         raise Compiles
 
     monkeypatch.setattr(real_demo, "warm_up", warm_up)
