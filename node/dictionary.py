@@ -39,8 +39,9 @@ MAP_OFFSET = 0x200
 
 _HISTORY = 0x1003  # its entries exist or not, and belong to the core
 _OCTETS = DATA_TYPES[0x000A]
-_NUMBERS = ("bool", "int", "real", "time")
-_WIDEST = 0xFFFFFFFF  # of an object that a core reads, whichever type a file gives it: its time in ns is an int64
+_INTEGERS = ("bool", "int")
+_NUMBERS = (*_INTEGERS, "real", "time")
+_WIDEST = 0xFFFFFFFF  # largest number that a core gets: of a time in ms, an int64 holds the ns
 
 
 class DictionaryState(NamedTuple):
@@ -175,7 +176,8 @@ class Dictionary:
     def _is_meant(self, row: CoreObject) -> bool:
         """Tell whether the object exists and is the object that the core expects at this index."""
         ours = self._ours or row.named or row.index not in MANUFACTURER
-        return ours and self.description.has(*row.key) and self._is_number(row.key)
+        kinds = _NUMBERS if row.named else _INTEGERS  # a slot has the bit pattern of a REAL
+        return ours and self.description.has(*row.key) and data_type(self.description.variable(*row.key)).kind in kinds
 
     def _is_number(self, key: Key) -> bool:
         """Tell whether an object has a numeric type, whichever type CiA specifies."""

@@ -4,7 +4,7 @@
 core receives local time, and its frames are queued in bus time. Its `next_ns` is local time.
 
 In the kernels: `nodes` the records of the nodes (`node.record`), `i` the row of the node, `out` the queue of frames to
-send. Python hands over an array much faster than one record of it.
+send.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Relax types, limits and defaults of a vendor's EDS that would mislead or block a simulated device.
 
-An EDS file is written by hand. Some types lack the sign of CiA's own: an unsigned 60FFh would take
+An EDS file is written by hand. Some types have another sign than CiA's: an unsigned 60FFh would take
 -1000 for full speed forwards. Some limits contradict CiA's own range of an object, and some
 defaults, which the real device replaces by its stored values, would prevent any torque of the
 drive. All are relaxed, and each change is reported. Files of our own devices are not changed.
@@ -38,10 +38,11 @@ _RANGES: tuple[tuple[range, range, int, str], ...] = (
 _SIGNED = frozenset((
     *(0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6061, 0x6062, 0x6063, 0x6064, 0x606B, 0x606C),
     *(0x6071, 0x6074, 0x6077, 0x6078, 0x607A, 0x607B, 0x607C, 0x607D, 0x6098, 0x60B0, 0x60B1, 0x60B2),
-    *(0x60BA, 0x60BB, 0x60BC, 0x60BD, 0x60C1, 0x60F4, 0x60F8, 0x60FF),
+    *(0x60BA, 0x60BB, 0x60BC, 0x60BD, 0x60C1, 0x60F4, 0x60FF),
 ))  # fmt: skip
-"""Objects of a drive that have a sign (CiA 402). Those of CiA 301 have none."""
-_COMMUNICATION = range(0x1000, 0x2000)
+"""Objects of a drive that have a sign (CiA 402), and that the drive's kernels read."""
+_WINDOWS, _COMMUNICATION = (0x6065, 0x6067), range(0x1000, 0x2000)
+"""Objects without a sign: FFFFFFFFh is no window (CiA 402); those of CiA 301."""
 _INTEGERS = {(kind.bits, kind.signed): kind for kind in DATA_TYPES.values() if kind.kind == "int"}
 
 _FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
@@ -146,8 +147,9 @@ def _with_signs(description: Description, profile: Profile) -> Opened:
     changed: dict[Key, Variable] = {}
     labels: dict[tuple[DataType, DataType], list[str]] = {}
     for index, entry in description.objects.items():
-        signed = profile.behaviour is DRIVE402.behaviour and first_axis_object(index) in _SIGNED
-        if not signed and index not in _COMMUNICATION:
+        number = first_axis_object(index) if profile.behaviour is DRIVE402.behaviour else 0
+        signed = number in _SIGNED
+        if not signed and number not in _WINDOWS and index not in _COMMUNICATION:
             continue
         for subindex, variable in entry.variables.items():
             kind, is_count = DATA_TYPES.get(variable.data_type), subindex == 0 and len(entry.variables) > 1
@@ -158,7 +160,7 @@ def _with_signs(description: Description, profile: Profile) -> Opened:
             labels.setdefault((kind, meant), []).append(_label(variable))
     remarks = [
         f"{description.path}: {_first_of(names)} is {kind.name} in the file, but has "
-        f"{'a sign (CiA 402)' if meant.signed else 'no sign (CiA 301)'}; served as {meant.name}"
+        f"{'a' if meant.signed else 'no'} sign at CiA; served as {meant.name}"
         for (kind, meant), names in labels.items()
     ]
     return _changed(description, changed, remarks)
@@ -201,14 +203,15 @@ def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[
 def _defaults(description: Description, changed: dict[Key, Variable], axis: int) -> Iterator[str]:
     positions = [((of_axis(index, axis), subindex), value) for (index, subindex), value in _POSITIONS]
     limits = [_variable(description, key) for key, _ in positions]
-    if any(limits) and not any(limit is not None and limit.default for limit in limits):
+    lowest, highest = (limit.default if limit and isinstance(limit.default, int) else 0 for limit in limits)
+    if lowest > highest or (any(limits) and lowest == highest == 0):
         for (key, value), variable in zip(positions, limits, strict=True):
             if variable is not None:
                 changed[key] = _with(variable, value)
         yield _remark(
             description,
             f"{positions[0][0][0]:04X}h",
-            "0 on both sides",
+            "0 on both sides" if lowest == highest else f"{lowest} to {highest}",
             "the whole range",
             _NO_TORQUE,
         )

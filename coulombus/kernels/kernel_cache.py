@@ -47,8 +47,8 @@ __all__ = [
 ]
 
 SCOPES = ("run", "simulate", "arm")
-"""Kernels of a host and a bus in real time; also those of the loop in virtual time; also those of an arm in the
-plane, all.
+"""What the kernels are for; each contains those before it: a host and a bus in real time, the loop in virtual time,
+an arm in the plane.
 """
 
 OURS = "coulombus"

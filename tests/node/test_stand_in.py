@@ -4,6 +4,8 @@ guarding, its first TPDOs.
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 
 from coulombus.eds.reader import parse_eds, read_eds
@@ -19,6 +21,7 @@ from foreign_eds import (
     I16,
     I32,
     MOTOR,
+    REAL32,
     U8,
     U16,
     U32,
@@ -150,14 +153,14 @@ def test_defaults_that_block_a_drive_are_opened_and_told(section, keys, label, v
 @pytest.mark.parametrize(
     ("section", "keys", "remark", "typed"),
     [
-        ("60FF", {"DataType": U32, "DefaultValue": "0xFFFFFC18"}, "60FFh is UNSIGNED32 in the file, but has a sign (CiA 402)",
+        ("60FF", {"DataType": U32, "DefaultValue": "0xFFFFFC18"}, "60FFh is UNSIGNED32 in the file, but has a sign at CiA",
          (0x0004, None, None, -1000)),
         ("60FF", {"DataType": U32, "DefaultValue": 7, "LowLimit": 0, "HighLimit": 3000}, "60FFh is UNSIGNED32", (0x0004, None, 3000, 7)),
         ("60FF", {"DataType": U32, "LowLimit": 5, "HighLimit": "0xFFFFFFFF"}, "60FFh is UNSIGNED32", (0x0004, 5, None, 0)),
         ("607Dsub1", {"DataType": U32, "DefaultValue": "0x80000000"}, "607Dh:01 is UNSIGNED32", (0x0004, None, None, -(1 << 31))),
         ("6060", {"DataType": U8, "DefaultValue": 255}, "6060h is UNSIGNED8", (0x0002, None, None, -1)),
         ("1017", {"DataType": I16, "DefaultValue": -25536, "LowLimit": -32768, "HighLimit": 32767},
-         "1017h is INTEGER16 in the file, but has no sign (CiA 301)", (0x0006, None, 32767, 40000)),
+         "1017h is INTEGER16 in the file, but has no sign at CiA", (0x0006, None, 32767, 40000)),
         ("1400sub5", {"DataType": I16, "DefaultValue": 10}, "1400h:05 is INTEGER16", (0x0006, None, None, 10)),
     ],
 )  # fmt: skip
@@ -173,6 +176,17 @@ def test_an_integer_has_the_sign_of_cia_s_type(section, keys, remark, typed):
     assert (
         completed(described(ours), DRIVE402).description.variable(int(index, 16), int(subindex or 0)).data_type
         != typed[0]
+    )
+
+
+def test_a_window_that_is_off_is_off_whatever_sign_its_type_has():
+    text = edited(another(MOTOR), "6072", DefaultValue=1000)
+    for section in ("6065", "6067"):
+        text = with_variable(text, section, I32, -1)
+    reading = opened(described(text), DRIVE402)
+    assert [reading.description.variable(index, 0).default for index in (0x6065, 0x6067)] == [0xFFFFFFFF] * 2
+    assert reading.remarks == (
+        "x.eds: 6065h and 1 more is INTEGER32 in the file, but has no sign at CiA; served as UNSIGNED32",
     )
 
 
@@ -250,6 +264,20 @@ def test_a_position_range_of_nothing_is_the_whole_range():
     assert [remark.partition(",")[0] for remark in found.remarks] == ["x.eds: 607Dh is 0 on both sides in the file"]
     one_sided = edited(blocked, "607Dsub2", DefaultValue=5)
     assert opened(described(one_sided), DRIVE402).remarks == ()
+    whole = edited(
+        edited(text, "607Dsub1", DefaultValue=0, DataType=U32), "607Dsub2", DefaultValue="0xFFFFFFFF", DataType=U32
+    )
+    found = opened(described(whole), DRIVE402)
+    assert [found.description.variable(0x607D, k).default for k in (1, 2)] == [-(1 << 31), (1 << 31) - 1]
+    assert found.remarks[1].startswith("x.eds: 607Dh is 0 to -1 in the file, which would")
+
+
+def test_a_setpoint_that_is_no_integer_moves_nothing():
+    bench = served(edited(another(MOTOR), "6071", DataType=REAL32, DefaultValue=""))
+    enabled(bench, 10)
+    bench.download(0x6071, 0, struct.pack("<f", 100.0))
+    bench.run(5 * MS)
+    assert (bench.node.out_torque_pm, bench.upload(0x6071)) == (0.0, struct.pack("<f", 100.0))
 
 
 def test_a_limit_below_cia_s_range_is_opened():

@@ -8,20 +8,21 @@ import pytest
 
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import PowerState
-from coulombus.eds.reader import read_eds
+from coulombus.eds.reader import parse_eds, read_eds
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.record import new_nodes
 from coulombus.node.slots402 import ACTS_SPEED
 from coulombus.node.standstill import LOOKS, StandstillWatch, why_still
 from coulombus.wire.frame import new_queue
+from foreign_eds import MOTOR, another, without
 
 VELOCITY, TORQUE, CSV, CST = 3, 4, 9, 10
 
 
-def drive(mode=VELOCITY, target=1000, state=PowerState.OPERATION_ENABLED):
+def drive(mode=VELOCITY, target=1000, state=PowerState.OPERATION_ENABLED, description=None):
     """Return an enabled drive that could turn."""
-    device = Device(read_eds("eds/motor.eds"), 5, DRIVE402, new_nodes(1)[0])
+    device = Device(description or read_eds("eds/motor.eds"), 5, DRIVE402, new_nodes(1)[0])
     device.power_on(0, new_queue())
     n = device.record
     n["nmt"], n["power_state"], n["mode"] = NmtState.OPERATIONAL, state, mode
@@ -116,6 +117,12 @@ def test_a_position_at_its_limit_is_named_in_its_direction():
         device[0x607D, 1], device[0x607D, 2] = -100, 100
         device.record["in_position_counts"], device.record["limited"] = position, 1
         assert reason(device) == name
+
+
+def test_a_file_without_607Dh_has_no_limit_of_the_position():
+    device = drive(CST, 2000, description=parse_eds(without(another(MOTOR), "607D").encode(), "x.eds"))
+    device.record["limited"] = 1
+    assert reason(device) is None
 
 
 def test_a_speed_limit_of_0_is_named():

@@ -10,7 +10,7 @@ MOTOR = (EDS / "motor.eds").read_text()
 BRAKE = (EDS / "mr_brake.eds").read_text()
 
 U8, U16, U32, U64 = "0x0005", "0x0006", "0x0007", "0x001B"
-I8, I16, I32 = "0x0002", "0x0003", "0x0004"
+I8, I16, I32, REAL32 = "0x0002", "0x0003", "0x0004", "0x0008"
 
 
 def another(text):

@@ -85,12 +85,12 @@ class SimProcess:
 
 
 def shown_s(rig: Rig) -> float:
-    """Return the length of a display: the schedule to the end of its first stroke there and back [s]."""
+    """Return the length of a display: the schedule, but of a stroke at its end once there and back [s]."""
     axis = rig.one_axis()
-    for phase, begin_s in zip(axis.phases, axis.phase_starts_s, strict=False):
-        if isinstance(phase, StrokePhase):
-            return begin_s + min(phase.duration_s, 2.0 * (phase.move_s + phase.dwell_s))
-    return rig.schedule_s
+    last = axis.phases[-1] if axis.phases else None
+    if not isinstance(last, StrokePhase):
+        return rig.schedule_s
+    return axis.phase_starts_s[-2] + min(last.duration_s, 2.0 * (last.move_s + last.dwell_s))
 
 
 def run_real_demo(

@@ -15,6 +15,7 @@ from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 
 HOLD = 'kind="hold", duration_s=2.0, push_F_s=0.6, frequency_Hz=0.5, taps_s=[0.6], tap_Nm=0.5, tap_s=0.02'
+STROKE = '{kind="stroke", duration_s=8.0, speed_rad_s=2.0, move_s=1.0, dwell_s=0.5}'
 SCHEDULE = f'phase=[{{kind="rest", duration_s=1.0}}, {{{HOLD}}}]'
 
 
@@ -93,10 +94,12 @@ def test_the_mean_is_drawn_over_the_band_of_a_limit_cycle():
     [
         ((), 1.0 + 4.0 + 2 * (1.0 + 1.0)),
         (("phase.2.duration_s=2.5",), 1.0 + 4.0 + 2.5),
+        ((f"phase=[{STROKE}, {{{HOLD}}}]",), 8.0 + 2.0),
+        ((f"phase=[{STROKE}, {STROKE}]",), 8.0 + 3.0),
         (("phase.0.duration_s=3.0", "phase.2.move_s=0.5"), 3.0 + 4.0 + 2 * (0.5 + 1.0)),
     ],
 )
-def test_a_display_in_real_time_ends_with_the_first_stroke_there_and_back(overrides, seconds):
+def test_a_display_in_real_time_shows_the_last_stroke_once_there_and_back(overrides, seconds):
     assert real_demo.shown_s(load_rig("bench", overrides)) == pytest.approx(seconds)
 
 
