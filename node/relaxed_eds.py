@@ -159,8 +159,8 @@ def _with_signs(description: Description, profile: Profile) -> Opened:
             changed[index, subindex] = _of_type(variable, meant)
             labels.setdefault((kind, meant), []).append(_label(variable))
     remarks = [
-        f"{description.path}: {_first_of(names)} is {kind.name} in the file, but has "
-        f"{'a' if meant.signed else 'no'} sign at CiA; served as {meant.name}"
+        f"{description.path}: {_first_of(names)} {'is' if len(names) == 1 else 'are'} {kind.name} in the file, "
+        f"{'signed' if meant.signed else 'unsigned'} at CiA; served as {meant.name}"
         for (kind, meant), names in labels.items()
     ]
     return _changed(description, changed, remarks)

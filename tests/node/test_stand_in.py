@@ -153,14 +153,14 @@ def test_defaults_that_block_a_drive_are_opened_and_told(section, keys, label, v
 @pytest.mark.parametrize(
     ("section", "keys", "remark", "typed"),
     [
-        ("60FF", {"DataType": U32, "DefaultValue": "0xFFFFFC18"}, "60FFh is UNSIGNED32 in the file, but has a sign at CiA",
+        ("60FF", {"DataType": U32, "DefaultValue": "0xFFFFFC18"}, "60FFh is UNSIGNED32 in the file, signed at CiA; served as INTEGER32",
          (0x0004, None, None, -1000)),
         ("60FF", {"DataType": U32, "DefaultValue": 7, "LowLimit": 0, "HighLimit": 3000}, "60FFh is UNSIGNED32", (0x0004, None, 3000, 7)),
         ("60FF", {"DataType": U32, "LowLimit": 5, "HighLimit": "0xFFFFFFFF"}, "60FFh is UNSIGNED32", (0x0004, 5, None, 0)),
         ("607Dsub1", {"DataType": U32, "DefaultValue": "0x80000000"}, "607Dh:01 is UNSIGNED32", (0x0004, None, None, -(1 << 31))),
         ("6060", {"DataType": U8, "DefaultValue": 255}, "6060h is UNSIGNED8", (0x0002, None, None, -1)),
         ("1017", {"DataType": I16, "DefaultValue": -25536, "LowLimit": -32768, "HighLimit": 32767},
-         "1017h is INTEGER16 in the file, but has no sign at CiA", (0x0006, None, 32767, 40000)),
+         "1017h is INTEGER16 in the file, unsigned at CiA; served as UNSIGNED16", (0x0006, None, 32767, 40000)),
         ("1400sub5", {"DataType": I16, "DefaultValue": 10}, "1400h:05 is INTEGER16", (0x0006, None, None, 10)),
     ],
 )  # fmt: skip
@@ -186,7 +186,7 @@ def test_a_window_that_is_off_is_off_whatever_sign_its_type_has():
     reading = opened(described(text), DRIVE402)
     assert [reading.description.variable(index, 0).default for index in (0x6065, 0x6067)] == [0xFFFFFFFF] * 2
     assert reading.remarks == (
-        "x.eds: 6065h and 1 more is INTEGER32 in the file, but has no sign at CiA; served as UNSIGNED32",
+        "x.eds: 6065h and 1 more are INTEGER32 in the file, unsigned at CiA; served as UNSIGNED32",
     )
 
 
