@@ -41,8 +41,8 @@ __all__ = [
     "change_mode",
     "control_speed",
     "enter",
+    "has_limits",
     "high_limit",
-    "is_guarded",
     "is_position_mode",
     "is_speed_mode",
     "largest_speed",
@@ -110,7 +110,7 @@ def largest_speed(n: NodeRecord) -> float:
 
 
 @kernel
-def is_guarded(n: NodeRecord) -> bool:
+def has_limits(n: NodeRecord) -> bool:
     """Tell whether 607Dh or 6080h may limit."""
     values = n.values
     positions = values[slots402.LOWEST_POSITION] != _LOWEST or values[slots402.HIGHEST_POSITION] != _HIGHEST

@@ -306,7 +306,7 @@ def actuate(n: NodeRecord, t_ns: int) -> None:
         or n.controlword & _HALT
     ):
         target = 0
-    if n.sync_armed == 0 and motion402.is_guarded(n):
+    if n.sync_armed == 0 and motion402.has_limits(n):
         n.ramping = 1  # nothing else looks at 607Dh and 6080h
     n.torque_demand_pm = n.out_torque_pm = float(target)
     values[slots402.TORQUE_DEMAND] = target

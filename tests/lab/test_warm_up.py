@@ -212,6 +212,9 @@ def test_groups_that_may_run_at_the_same_time_have_two_kernels_in_common_at_most
             assert names <= {"karnopp.karnopp", "recvmsg.receive"}, (one, other)
 
 
+QUIET = ("--seconds", "0.2")
+
+
 @pytest.fixture
 def warmed_up(tmp_path):
     """Return variables for a cache with nothing in it but what a warm-up compiles: that of `scripts/test`
@@ -222,6 +225,42 @@ def warmed_up(tmp_path):
         shutil.copytree(os.environ[WARM_UP], tmp_path / "cache")
     coulombus("warm-up", **variables)
     return variables
+
+
+def display_in_real_time(variables):
+    """Let a host run on an emulated bus, also with a world outside."""
+    emulation = subprocess.Popen(
+        [sys.executable, "-m", "coulombus", "emulate", "--bus", f"coulombus:warm-{os.getpid()}", "--json"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
+        stdout=subprocess.PIPE,
+    )
+    with emulation:
+        assert json.loads(emulation.stdout.readline())["event"] == "ready"
+        run = (
+            "run",
+            "--bus",
+            f"coulombus:warm-{os.getpid()}",
+            *QUIET,
+            "--shared-machine",
+            "--set",
+            'host.deadman="none"',
+        )
+        coulombus(*run, **variables)
+        coulombus(*run, "--world", **variables)
+        emulation.terminate()
+
+
+@COMPILED
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.real_time
+def test_the_first_scope_is_enough_for_a_display_in_real_time(tmp_path):
+    variables = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    coulombus("warm-up", "--for", "run", **variables)
+    before = kernels(tmp_path)
+    display_in_real_time(variables)
+    assert kernels(tmp_path) == before
 
 
 @pytest.mark.thorough
@@ -236,7 +275,6 @@ def test_after_a_warm_up_no_verb_compiles(tmp_path, warmed_up):
     noise = tmp_path / "noise.toml"
     noise.write_text(NOISE)
     assert re.fullmatch("nothing to compile: all is kept in .*\n", coulombus("warm-up", **variables))
-    quiet = ("--seconds", "0.2")
     runs = [
         ["--record", str(tmp_path / "run.pcapng")],
         ["--faults", FAULTS],
@@ -244,26 +282,7 @@ def test_after_a_warm_up_no_verb_compiles(tmp_path, warmed_up):
         ["--rig", "plane", "--truth", str(tmp_path / "truth.npz")],
         ["--rig", "plane", "--faults", str(noise)],
     ]
-    python("-c", RUNS, json.dumps([["simulate", *quiet, *run] for run in runs]), **variables)
+    python("-c", RUNS, json.dumps([["simulate", *QUIET, *run] for run in runs]), **variables)
     python("-c", WORLD, **variables)
-    emulation = subprocess.Popen(
-        [sys.executable, "-m", "coulombus", "emulate", "--bus", f"coulombus:warm-{os.getpid()}", "--json"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **variables},
-        stdout=subprocess.PIPE,
-    )
-    with emulation:
-        assert json.loads(emulation.stdout.readline())["event"] == "ready"
-        run = (
-            "run",
-            "--bus",
-            f"coulombus:warm-{os.getpid()}",
-            *quiet,
-            "--shared-machine",
-            "--set",
-            'host.deadman="none"',
-        )
-        coulombus(*run, **variables)
-        coulombus(*run, "--world", **variables)
-        emulation.terminate()
+    display_in_real_time(variables)
     assert kernels(tmp_path) == before

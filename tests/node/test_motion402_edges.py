@@ -146,7 +146,7 @@ def test_6080h_is_in_rpm_of_the_motor(rpm, speed):
     ],
 )
 def test_607Dh_and_6080h_guard_a_drive_unless_they_limit_nothing(values, guarded):
-    assert motion402.is_guarded(drive(**{"MAX_MOTOR_SPEED": 2**32 - 1, **values})) == guarded
+    assert motion402.has_limits(drive(**{"MAX_MOTOR_SPEED": 2**32 - 1, **values})) == guarded
 
 
 @pytest.mark.parametrize("position", [LOWEST, HIGHEST])

@@ -118,7 +118,10 @@ def changes(points):
     return [(before, after) for (t1, before), (t2, after) in pairwise(points) if t2 - t1 < within_s]
 
 
-@pytest.mark.parametrize("messages", [10_000, pytest.param(100_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "messages",
+    [3000, pytest.param(10_000, marks=pytest.mark.thorough), pytest.param(100_000, marks=pytest.mark.long)],
+)
 def test_random_messages_leave_the_bus_within_the_limits_and_the_server_alive(messages):
     overrides = (*LIMITS, *NO_TRIPS)
     axis = load_rig("bench", LIMITS).axes[0]
