@@ -115,11 +115,9 @@ def completed(description: Description, profile: Profile) -> Opened:
     """Return the description of a device without a rig, with CiA's signs, and for a drive with the defaults that its
     file lacks: those of a drive without these objects. Nobody else writes them before it is used.
     """
+    signed = _with_signs(description, profile)
+    description, remarks = signed.description, [*signed.remarks]
     changed: dict[Key, Variable] = {}
-    remarks: list[str] = []
-    if of_identity(identity_from_1018h(description)) is GENERIC:
-        signed = _with_signs(description, profile)
-        description, remarks = signed.description, [*signed.remarks]
     if profile.behaviour is DRIVE402.behaviour:
         for key, value in {(0x1000, 0): _SERVO, **_OF_THE_DRIVE}.items():
             variable = _variable(description, key)
@@ -143,7 +141,9 @@ def _changed(description: Description, changed: Mapping[Key, Variable], remarks:
 
 
 def _with_signs(description: Description, profile: Profile) -> Opened:
-    """Give each integer the sign of CiA's type: the bytes on the bus stay."""
+    """Give each integer of another maker's file the sign of CiA's type: the bytes on the bus stay."""
+    if of_identity(identity_from_1018h(description)) is not GENERIC:
+        return Opened(description)
     changed: dict[Key, Variable] = {}
     labels: dict[tuple[DataType, DataType], list[str]] = {}
     for index, entry in description.objects.items():

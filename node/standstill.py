@@ -142,11 +142,8 @@ def _at_limit(n: NodeRecord, objects: Objects, target: int) -> Iterator[Reason]:
         return
     if not objects.number(0x6080, 0, 1) or not objects.number(0x607F, 0, 1):
         yield Reason("speed_limit", "6080h or 607Fh limits the speed to 0 (6041h, bit 11): write it")
-    position, low, high = (
-        int(n["in_position_counts"]),
-        objects.number(0x607D, 1, -0x80000000),
-        objects.number(0x607D, 2, 0x7FFFFFFF),
-    )
+    low, high = (int(n["values"][slot]) for slot in (slots402.LOWEST_POSITION, slots402.HIGHEST_POSITION))
+    position = int(n["in_position_counts"])
     if position >= high if target > 0 else position <= low:
         yield Reason("limit", f"the position {position} is at its limit 607Dh, {low} to {high} (6041h, bit 11)")
 

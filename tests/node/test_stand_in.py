@@ -267,9 +267,9 @@ def test_a_position_range_of_nothing_is_the_whole_range():
     whole = edited(
         edited(text, "607Dsub1", DefaultValue=0, DataType=U32), "607Dsub2", DefaultValue="0xFFFFFFFF", DataType=U32
     )
-    found = opened(described(whole), DRIVE402)
-    assert [found.description.variable(0x607D, k).default for k in (1, 2)] == [-(1 << 31), (1 << 31) - 1]
-    assert found.remarks[1].startswith("x.eds: 607Dh is 0 to -1 in the file, which would")
+    relaxed = opened(described(whole), DRIVE402)
+    assert [relaxed.description.variable(0x607D, k).default for k in (1, 2)] == [-(1 << 31), (1 << 31) - 1]
+    assert relaxed.remarks[1].startswith("x.eds: 607Dh is 0 to -1 in the file, which would")
 
 
 def test_a_setpoint_that_is_no_integer_moves_nothing():
